@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every test folder shares. `MOTORD_RT_DIR` puts another build of the C core first (make
-san). Property tests have no deadline: a busy machine is no bug. Each run draws other cases,
-most of them in `make san`. Programs that tests start read their modules from bytecode: without it,
-each of some thousand starts compiles a hundred modules anew."""
+"""What every test folder shares. `MOTORD_RT_DIR` puts another build of the C core first (make san).
+Property tests have no deadline: a busy machine is no bug. Each run draws new cases, most of them in
+`make san`. Programs that tests start use bytecode: without it, each of some thousand starts
+compiles a hundred modules again."""
 
 import contextlib
 import functools
@@ -19,7 +19,7 @@ from hypothesis import settings
 from tests import fork_server
 from tests.late_machine import pytest_runtest_protocol, pytest_terminal_summary  # noqa: F401  hooks
 
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # as containers set it
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # containers set it
 sys.dont_write_bytecode = False
 
 if directory := os.environ.get("MOTORD_RT_DIR"):
@@ -29,11 +29,11 @@ if directory := os.environ.get("MOTORD_RT_DIR"):
 TESTS = Path(__file__).parent
 CPUS = os.cpu_count() or 1
 LANES = {"page": max(1, CPUS // 2), "robot": CPUS + CPUS // 2}
-"""So many whole robots run at once, so many of them with pages of a browser. Each is three to seven
+"""Robots that run at once, and those among them with browser pages. Each is three to seven
 programs: with more of them every one is late, fails, and runs again."""
 OTHERS = ("browser", "peers")
-"""Folders of tests that need programs of other people. They are long, and so is what is marked so:
-the machine works on all of it for longer than on all the rest."""
+"""Folders of tests that need programs of other projects. With the tests marked long they take the
+machine longer than all the rest."""
 OPEN_TO = {"browser": ("page",), "sim": ("page", "robot"), "peers": ("page", "robot")}
 LONG_S = {
     "test_partition": 32, "test_calibrate": 24, "test_can_robot": 13, "test_bus_faults": 12,
@@ -43,7 +43,7 @@ LONG_S = {
     "test_stop_under_flood": 4, "test_ros2_package": 4, "test_fuzz_short": 4, "test_dashboard": 4,
     "test_strafe": 3, "test_bus_process": 3, "test_ros2_actions": 3,
 }  # fmt: skip
-"""What one test of these files takes; of all others in a lane it is USUAL_S."""
+"""Duration of one test of these files; in all other files of a lane it is USUAL_S."""
 USUAL_S = 1.5
 
 
@@ -54,8 +54,8 @@ def kind_of(path):
 
 
 def lanes(items):
-    """The lane of each file that starts robots: pages first, which have the fewest to go to, then
-    the longest files, each to the lane that has the least to do."""
+    """The lane of each file that starts robots: files with pages first, which have the fewest
+    lanes, then the longest files, each to the lane with the least work."""
     tests = Counter(item.path for item in items if kind_of(item.path) in OPEN_TO)
     files_s = {path: count * LONG_S.get(path.stem, USUAL_S) for path, count in tests.items()}
     kinds = {path: OPEN_TO[kind_of(path)] for path in tests}
@@ -75,12 +75,12 @@ def pytest_addoption(parser):
 
 
 def is_without_long(config):
-    """What only `make test-all` runs is left out; what a person names is run."""
+    """Whether to leave out tests of `make test-all` only; a test that you name is always run."""
     return config.option.without_long and not config.option.file_or_dir
 
 
 def pytest_ignore_collect(collection_path, config):
-    """`make check` runs test_tidy.py, by its name."""
+    """test_tidy.py is run only by its name, as in `make check`."""
     left_out = is_without_long(config) and kind_of(collection_path) in OTHERS
     tidy = collection_path.name == "test_tidy.py" and not config.option.file_or_dir
     return True if left_out or tidy else None
@@ -95,7 +95,7 @@ def leave_out_long(items, config):
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection_modifyitems(items, config):
     """Tests of a lane, and tests that share a fixture of their file, stay in one process of `--dist
-    loadgroup`, which looks for the mark in this hook; all others go wherever one is free."""
+    loadgroup`, which looks for the mark in this hook; all others go to any free process."""
     if is_without_long(config):
         leave_out_long(items, config)
     lane_of = lanes(items)
@@ -114,8 +114,8 @@ GROUP = re.compile(rf"@({'|'.join(LANES)}) \d+$")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_logreport(report):
-    """The process that counts names a test without its group: what has failed is found again by
-    `--last-failed`, with or without groups, and by who copies its name."""
+    """The main process names a test without its group: so `--last-failed` finds a failed test with
+    or without groups, and so do you by a copied name."""
     if "PYTEST_XDIST_WORKER" not in os.environ:
         name = GROUP.sub("", report.nodeid)
         report.nodeid = name.removesuffix("@" + name.partition("::")[0])
@@ -123,7 +123,7 @@ def pytest_runtest_logreport(report):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """What it makes stays, so no collection of garbage looks for what does not."""
+    """No garbage collection during collection: all that it creates stays."""
     gc.disable()
     try:
         return (yield)
@@ -132,8 +132,8 @@ def pytest_collection():
 
 
 def pytest_collection_finish():
-    """Seven thousand tests and their modules live as long as the process: no collection of garbage
-    looks through them again."""
+    """Seven thousand tests and their modules live as long as the process: the garbage collector
+    does not scan them again."""
     gc.collect()
     gc.freeze()
 

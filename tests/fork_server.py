@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forks the programs that tests start from a process that has imported them already: the imports
-cost more than what most tests ask of the program.
+take longer than most tests of the program.
 
 `install` replaces the one function by which `subprocess` starts a program. For `python -m motord`,
-`motord.config`, `motord.bus` and a peer of the tests it asks the fork server; for all else, and
-wherever the new process would differ from one that is started by exec, it starts a real one. The
-forked process is a child of the process that asked: a server is its child, and what a server forks
-twice is adopted by the nearest ancestor that is a subreaper, PR_SET_CHILD_SUBREAPER in prctl(2).
+`motord.config`, `motord.bus` and a peer of the tests it uses the fork server; for all else, and
+wherever a forked process would differ from one started by exec, it uses exec. The forked process
+becomes a child of the requesting process: the server is its child and forks twice, and the nearest
+ancestor that is a subreaper adopts the process (PR_SET_CHILD_SUBREAPER in prctl(2)).
 
 A program that starts programs of its own, as the daemon does, gets a server of its own, forked
 before it has threads. A program that setsid(1) starts at a terminal of its own, `AT_TERMINAL`, is
@@ -40,31 +40,31 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PEERS = ("tests.peers.ros2.ros2_peer", "tests.sim.straight_on")
 HOGGED = "tests.sim.hogged_daemon"
-"""It calls motord's main(), so it is prepared as motord is."""
+"""It calls motord's main(), so it is prepared like motord."""
 MODULES = ("motord", "motord.config", "motord.bus", *PEERS, HOGGED)
 STARTS = {
     "run": (("motord.config",), ("motord.bus",)),
     "demo": (("motord", "simulate"), ("motord.config",), ("motord", "run"), ("motord.bus",)),
     "replay": (("motord.bus",), ("motord.config",)),
 }
-"""Commands of motord that start programs of their own, and which."""
+"""Commands of motord that start programs, and those programs."""
 CONFIG, RS485 = "motord.config.load", "motord_hal.rt_engine.rs485."
 LATER = {
     "run": (f"{RS485}line", f"{RS485}modbus_frames", "motord_hal.rt_engine.boards.line"),
     "stop-all": (CONFIG, f"{RS485}line", f"{RS485}modbus_frames"),
     **dict.fromkeys(("status", "arm", "disarm", "drive", "stop", "estop", "reset", "params"), ()),
 }
-"""What a command imports when it has read its arguments, if that is not the robot file's reader."""
+"""What a command imports after it has read its arguments, unless it is the robot file's reader."""
 AT_TERMINAL = ("setsid", "--ctty", "--wait")
-"""Before a command whose standard input is a terminal: it becomes the one that controls it."""
+"""Prefix of a command whose standard input becomes its controlling terminal."""
 BUILT_IN = ("PYTHON", "LD_", "COVERAGE", "MALLOC_", "GLIBC_")
-"""How variables begin that Python or its libraries read once, at the start."""
+"""Prefixes of variables that Python or its libraries read once, at the start."""
 REQUEST_BYTES_MAX, FDS_MAX = 1 << 17, 32
 NAME_BYTES = 4096
 """Room for the command lines of the children."""
 ANSWER_WITHIN_S = 100.0
 ABOVE = 500
-"""Descriptors at and above it are free in a server's child."""
+"""Descriptors from this number on are free in a server's child."""
 _PR_SET_CHILD_SUBREAPER = 36
 _NETWORK, _MOUNTS = "/proc/thread-self/ns/net", "/proc/thread-self/ns/mnt"
 _LIMITS = [getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")]
@@ -79,7 +79,7 @@ _worlds = {}
 
 # ------------------------------------------------------------------------------------ a client
 class Client:
-    """Of one server, in the process whose children it forks."""
+    """The client of one server, in the process that gets its children."""
 
     def __init__(self, end, pid=0):
         self.off = False
@@ -116,7 +116,7 @@ class Client:
 
 
 def _request(given):
-    """What a server needs to know; nothing for a program that has to be started by exec."""
+    """The request for a server; None for a program that has to be started by exec."""
     (words, paths, close_fds, keep, cwd, env, stdin, _, _, stdout, _, stderr, _, pipe,
      _, new_session, group, gid, gids, uid, umask, preexec, *_) = given  # fmt: skip
     words = [os.fsdecode(word) for word in words]
@@ -153,7 +153,7 @@ def _built_in(environ):
 
 
 def _surroundings():
-    """What a child inherits from what forks it, and no one sets."""
+    """What a child inherits from the process that forks it, and a request cannot set."""
     limits = [resource.getrlimit(number) for number in _LIMITS]
     names = [os.readlink(_NETWORK), os.readlink(_MOUNTS)]
     turn = os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0), os.sched_getaffinity(0)
@@ -163,7 +163,7 @@ def _surroundings():
 
 
 def install():
-    """From now on. A server is started when it is asked for the first time."""
+    """From now on. A server starts with its first request."""
     if not any(name.startswith("COVERAGE") for name in os.environ):
         subprocess._fork_exec = _first
 
@@ -195,8 +195,8 @@ def started_from_nothing():
 
 # ------------------------------------------------------------------------------------ the server
 def serve(end):
-    """Until the other end is shut, which ends the process. Returns in the children: what they are
-    to be."""
+    """Serves until the other end is closed, which ends the process. Returns in the children only:
+    what they are to run."""
     while True:
         raw, fds, _, _ = socket.recv_fds(end, REQUEST_BYTES_MAX, FDS_MAX)
         if not raw:
@@ -206,7 +206,7 @@ def serve(end):
             _prepare(request["module"], request["words"])
             if _fork(end):
                 return _become(request, fds, end)
-        except Exception:  # noqa: BLE001  whatever it is, a real start shows it
+        except Exception:  # noqa: BLE001  a real start shows any error
             traceback.print_exc()
             end.send(b"0")
         for fd in fds:
@@ -214,7 +214,7 @@ def serve(end):
 
 
 def _fork(end):
-    """Whether this is the child, which the process at the other end has adopted."""
+    """Whether this process is the child, adopted by the process at the other end."""
     assert len(os.listdir("/proc/self/task")) == 1, "no thread but this one lives on in a child"
     gc.freeze()
     middle = os.fork()
@@ -230,7 +230,7 @@ def _fork(end):
 
 
 def _prepare(module, words):
-    """What it and the programs that it starts import, imported; what it is to find is there."""
+    """Imports what the program and those that it starts import, and prepares what they read."""
     module = "motord" if module == HOGGED else module
     command = words[0] if module == "motord" and words else ""
     for other, *its_words in STARTS.get(command, ()):
@@ -247,7 +247,7 @@ def _prepare(module, words):
 
 
 def _enter(plain):
-    """Give motord's modules as they are in a process that reads robot files itself, or not."""
+    """Installs motord's modules for a process that reads robot files itself, or does not."""
     if _worlds.get("now") is plain:
         return
     modules = {
@@ -263,14 +263,14 @@ def _enter(plain):
 
 
 def _imports(module, command):
-    """Of the program; also what it imports only when it has read its robot file."""
+    """Imports of the program, also those after it has read its robot file."""
     if module == "motord.bus":
         yield "motord.bus.process"
     elif module == "motord.config":
         yield "motord.config.load"
     elif module in PEERS:
         yield module
-        del sys.modules[module]  # what it imports stays; it is run as __main__
+        del sys.modules[module]  # its imports stay; it is run as __main__
     elif module == "motord":
         yield "motord.cli"
         if where := importlib.import_module("motord.cli").COMMANDS.get(command):
@@ -288,7 +288,7 @@ def _read_once():
 
 
 def _adapters(words):
-    """Of the kinds of buses that the options set."""
+    """Modules of the kinds of buses that the options set."""
     adapters = importlib.import_module("motord.bus.adapters")
     for kind in re.findall(r"\.kind=([\w-]+)", " ".join(words)):
         for table in (adapters.PUBLISHERS, adapters.INPUTS):
@@ -297,7 +297,7 @@ def _adapters(words):
 
 
 def _become(request, fds, end):
-    """The process that exec would have made of this one. Returns what it is to run."""
+    """Turns this process into the one that exec would have made. Returns what it is to run."""
     if request["new_session"]:
         os.setsid()
     elif request["group"] >= 0:
@@ -320,7 +320,7 @@ def _become(request, fds, end):
     if starts:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         if os.fork() == 0:
-            ours.close()  # not later, by its finalizer: its number is another file's then
+            ours.close()  # now: its finalizer would close a later file with this number
             return serve(_alone(theirs))
         theirs.close()
         client = Client(ours)
@@ -333,7 +333,7 @@ def _become(request, fds, end):
 
 
 def _show_as(words):
-    """In /proc/self/cmdline: in the memory where the server's own words are, proc_pid_stat(5)."""
+    """Sets /proc/self/cmdline, in the memory of the server's own command line: proc_pid_stat(5)."""
     with open("/proc/self/stat", encoding="ascii") as file:
         begin, end = (int(field) for field in file.read().rpartition(")")[2].split()[45:47])
     raw = b"".join(os.fsencode(word) + b"\0" for word in words)[: end - begin - 1]
@@ -352,7 +352,7 @@ def _alone(end):
 
 
 def _open_standard():
-    """As Python does at its start: terminals and stderr by lines, all else by blocks."""
+    """Opens them like Python's start: terminals and stderr buffer by lines, all else by blocks."""
     unbuffered = bool(os.environ.get("PYTHONUNBUFFERED"))
     encoding = sys.__stdout__.encoding
     for fd, name, errors in (
@@ -388,15 +388,15 @@ def main():
 
 
 def _ended():
-    """What Python does at its end, but for taking down what was imported, which would copy the
-    memory that this process shares with its server. False: Python has to report the rest."""
+    """Ends like Python, but keeps imported modules: to tear them down would copy the memory that
+    this process shares with its server. False: Python has to report an error."""
     threading._shutdown()
     atexit._run_exitfuncs()
     gc.collect()
     try:
         sys.stdout.flush()
         sys.stderr.flush()
-    except (AttributeError, OSError, ValueError):  # none, or closed at one end
+    except (AttributeError, OSError, ValueError):  # no stream, or one closed at the other end
         return False
     return True
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of deadlines mean something only while the machine gives every process its time. While each
-test runs, a thread measures whether it does. A test that fails while the machine was late is run
-again, at most three times, as long as its runs together took at most AGAIN_MAX_S; the summary names
-each with what was measured. A test that fails while the machine was in time, or that does not end,
-has failed. Before the next run the machine gets some time to become less busy: a run that begins at
-once makes it busier, and what fails next is another test.
+"""Tests of deadlines are valid only while the machine gives every process its time. During
+each test a thread measures this. A test that fails while the machine was late is run again, at most
+three times, as long as its runs together took at most AGAIN_MAX_S; the summary names each with what
+was measured. A test that fails while the machine was in time, or that does not end, has failed.
+Before the next run the machine gets some time to become less busy: an immediate run makes it
+busier, and then another test fails.
 """
 
 import os
@@ -16,20 +16,20 @@ from _pytest.runner import runtestprotocol
 
 LOOK_EVERY_S = 0.05
 LATE_S = 0.05
-"""A thread that wakes so much later than it wanted to."""
+"""A thread that wakes later than this shows a late machine."""
 CROWD = 2.0
-"""So many processes for each processor that want to run, on average."""
+"""So do more runnable processes for each processor than this, on average."""
 RUNS_MAX = 4
 AGAIN_MAX_S = 130.0
 CALM_LOOK_S, CALM_WITHIN_S = 0.5, 10.0
-"""The next run begins when the machine was in time for so long, and after this at the latest."""
+"""How long the machine has to be in time before the next run, and the longest wait for it."""
 _NAME = "late machine"
 _LOAD_FD = os.open("/proc/loadavg", os.O_RDONLY | os.O_CLOEXEC)
-"""Open for good: some tests use up all descriptors."""
+"""Never closed: some tests use up all descriptors."""
 
 
 class Watch:
-    """Measures while it is entered."""
+    """Measures the lateness of the machine while it is entered."""
 
     def __init__(self):
         self.late_s = 0.0
@@ -56,24 +56,24 @@ class Watch:
 
     @property
     def crowd(self):
-        """Processes that want to run, for each processor; without those that look."""
+        """Runnable processes for each processor, without the measuring thread."""
         return self.waiting / max(self.looks, 1) / (os.cpu_count() or 1)
 
     @property
     def why(self):
-        """What was measured, if the machine was late; else nothing."""
+        """The measured figures if the machine was late; otherwise empty."""
         if self.late_s <= LATE_S and self.crowd <= CROWD:
             return ""
         return f"a thread woke {self.late_s:.2f} s late, {self.crowd:.1f} processes a processor"
 
 
 def runnable():
-    """How many processes want to run now: proc(5), /proc/loadavg, the fourth field."""
+    """How many processes are runnable now: proc(5), /proc/loadavg, the fourth field."""
     return int(os.pread(_LOAD_FD, 100, 0).split()[3].partition(b"/")[0]) - 1
 
 
 def calm_down():
-    """Until the machine is in time again, or CALM_WITHIN_S."""
+    """Waits until the machine is in time again, at most CALM_WITHIN_S."""
     end_s = time.monotonic() + CALM_WITHIN_S
     late = True
     while late and time.monotonic() < end_s:
@@ -83,7 +83,7 @@ def calm_down():
 
 
 def hung(report):
-    """pytest-timeout ended it: so long no machine is late, and again would take as long again."""
+    """Whether pytest-timeout ended it: no machine is late so long, and a new run takes as long."""
     return "Failed: Timeout" in report.longreprtext
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drive profiles of the project, each read once in a process: most tests of drives want one."""
+"""The drive profiles of the project, each read once in a process: most tests of drives need one."""
 
 import functools
 
@@ -7,4 +7,4 @@ from motord.config.drives.load import find_profile, list_profiles
 
 NAMES = tuple(list_profiles())
 shipped_profile = functools.cache(find_profile)
-"""By name. Profiles do not change; `dataclasses.replace` makes others of them."""
+"""By name. Profiles are immutable; `dataclasses.replace` makes changed copies."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records docs/first-drive.md: a robot from new parts to a calibrated base, on simulated
-drives whose wheels and track differ from what the person believes. Run: make walk."""
+"""Records docs/first-drive.md: a robot from new parts to a calibrated base, on simulated drives
+whose wheels and track differ from the robot file. Run: make walk."""
 
 import contextlib
 import math
@@ -53,13 +53,13 @@ CLONE_WITHIN_S = 1800.0
 
 
 class Walk:
-    """The steps, what they printed, and how long they took."""
+    """The steps, their output and their duration."""
 
     def __init__(self):
         self.parts, self.times = [HEAD], []
 
     def step(self, title, words, replies, socket=None):
-        """`socket`: of a daemon whose fault is reset before the next try."""
+        """`socket`: a daemon, whose fault is reset before the next try."""
         for _ in range(TRIES):
             began_s = time.monotonic()
             with at_terminal(*words) as screen:
@@ -73,7 +73,7 @@ class Walk:
         return self.add(title, " ".join(["motord", *map(str, words)]), screen.text, took_s, status)
 
     def add(self, title, command, text, took_s, status):
-        """A step that is done; returns its exit status."""
+        """Adds a completed step; returns its exit status."""
         self.times.append((title, took_s))
         kept = re.sub(r"[ \t]+\n", "\n", shown(text)).strip()
         session = f"$ {shown(command)}\n{kept}"
@@ -91,7 +91,7 @@ class Walk:
 
 
 def rested(socket):
-    """A daemon that is idle: a fault that a busy machine has caused is reset."""
+    """Waits for an idle daemon; resets a fault that a busy machine has caused."""
     end_s = time.monotonic() + DEADLINE_S
     with Client(socket) as robot:
         while (status := robot.status()).state != "idle":
@@ -105,7 +105,7 @@ PLACES = {}
 
 
 def shown(text):
-    """Without the names of folders that only this recording has."""
+    """The text without the folder names of this recording."""
     text = str(text)
     for path in sorted(PLACES, key=len, reverse=True):
         text = text.replace(path, PLACES[path])
@@ -136,7 +136,7 @@ def running(file, folder, name, *settings):
 
 
 def cloned(walk, folder):
-    """A clone builds itself and drives a simulated robot."""
+    """Builds a clone and drives a simulated robot with it."""
     began_s = time.monotonic()
     place = folder / "motord"
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(place)], check=True, timeout=120)
@@ -185,7 +185,7 @@ def on_a_serial_port(walk, folder):
         with running(file, folder, "cart", *SLOW, *SURE) as socket:
             status += spun(walk, "ZLAC8015D", socket)
             status += calibrated(walk, sim.control, socket)
-        with running(file, folder, "cart", *SLOW, *SURE) as socket:  # by what was calibrated
+        with running(file, folder, "cart", *SLOW, *SURE) as socket:  # with the calibrated values
             return status + driven(walk, "ZLAC8015D", sim.control, socket)
 
 
@@ -210,7 +210,7 @@ def spun(walk, drives, socket):
 
 
 def powered(terminal, socket):
-    """Whether the robot is armed; else the key for it is pressed, again where it was in vain."""
+    """Whether the robot is armed; if not, the key for it is pressed, repeatedly if needed."""
     with Client(socket) as robot:
         state = robot.status().state
     if state in ("idle", "fault"):

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # make arm64: the wheel, tests/c, tests/rt and tests/unit on aarch64, in a Debian 12 of that
 # architecture whose programs QEMU runs. Arguments go to pytest. Without root, Debian 12 or the
-# packages: one line that says why, and status 0.
+# packages: the reason in one line, and status 0.
 # Emulated: what is computed is real, time means nothing.
 set -euo pipefail
 

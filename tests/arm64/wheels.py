@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""wheels.py FOLDER: what the project and its tests need, as wheels for aarch64 and Python 3.11;
-what has none (evdev) as its source."""
+"""wheels.py FOLDER: what the project and its tests need, as wheels for aarch64 and Python 3.11; a
+package without a wheel (evdev) as source."""
 
 import subprocess
 import sys

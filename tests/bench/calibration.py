@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `motord calibrate` recovers of a simulated robot that differs from its file, and by how much
-the end of a square comes closer to its beginning.
+"""How well `motord calibrate` recovers the geometry of a simulated robot that differs from its
+file, and by how much the error at the end of a square falls.
 
 python -m tests.bench.calibration: one JSON object.
 """
@@ -28,9 +28,9 @@ TRUTH = (
 )
 FORWARD_ONLY = ROOT / "config/robots/forward-only.toml"
 FRICTION = ("left.coulomb_n_m=0.48", "right.coulomb_n_m=0.48")
-"""Of a motor that stalls at 8 N·m: a dead band of 6 %."""
+"""Friction of a motor that stalls at 8 N·m: a dead band of 6 %."""
 SHORT = ("--distance-m", "1", "--turns", "1", "--side-m", "1")
-"""A course that shows that the calibration runs."""
+"""A course that is only long enough to show that the calibration runs."""
 TRIES = 4
 """A busy machine may hold up the simulated robot for too long."""
 FULL_DUTY_RAD_S = 8.0 * 0.94 / (8.0 / 18.0 + 0.02)
@@ -38,12 +38,12 @@ FULL_DUTY_RAD_S = 8.0 * 0.94 / (8.0 / 18.0 + 0.02)
 
 
 def square_error_m(stage: Any, side_m: float) -> float:
-    """How far a square ends from where the odometry has it, the mean of one to the left and one to
-    the right (UMBmark: the return position error)."""
+    """The distance between the end of a square and its odometry, the mean of one square to the left
+    and one to the right (UMBmark: the return position error)."""
     errors_m = []
     while len(errors_m) < 2:
         sign = -1.0 if errors_m else 1.0
-        with armed(stage), contextlib.suppress(MoveFailed):  # a busy machine: once more
+        with armed(stage), contextlib.suppress(MoveFailed):  # repeated on a busy machine
             stage.sim.reset_truth()
             stage.robot.reset_odometry()
             for _ in range(4):
@@ -90,7 +90,7 @@ def duty() -> dict[str, float]:
 
 
 def measure(side_m: float = 4.0, course: tuple[str, ...] = ()) -> dict[str, Any]:
-    """All of it."""
+    """Geometry and duty."""
     return {"geometry": geometry(side_m, *course), "duty": duty()}
 
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make bench`: what motord costs and how late it is, beside what people use instead, in one run.
+"""`make bench`: the cost and the lateness of motord beside the alternatives, in one run.
 
 python -m tests.bench.run [--quick | --smoke] [--json] [--only core,wire,...] [--skip calibration]
 
 Ends with 1 only where something is wrong (a violation, a page fault, too many instructions), never
-because a machine is slow: the sentences say what was reached. `--smoke` runs every part as briefly
-as it can, to show that it runs: no figure is judged.
+because a machine is slow: the sentences report what was reached. `--smoke` runs every part as
+briefly as it can, to show that it runs: no figure is judged.
 """
 
 from __future__ import annotations
@@ -160,8 +160,8 @@ def main() -> int:
     size.add_argument("--quick", action="store_true", help="fewer rounds: two minutes")
     size.add_argument("--smoke", action="store_true", help="every part runs; nothing is judged")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
-    parser.add_argument("--only", type=parts, default=list(PARTS), help="parts, by commas")
-    parser.add_argument("--skip", type=parts, default=[], help="the same; these are left out")
+    parser.add_argument("--only", type=parts, default=list(PARTS), help="parts, with commas")
+    parser.add_argument("--skip", type=parts, default=[], help="parts to leave out")
     asked = parser.parse_args()
     chosen = [part for part in PARTS if part in asked.only and part not in asked.skip]
     how_much = Size.SMOKE if asked.smoke else Size.QUICK if asked.quick else Size.WHOLE

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What axe-core finds on a page: a test without it is skipped, and says how to get it."""
+"""What axe-core finds on a page. Without axe-core a test is skipped with the way to install it."""
 
 import json
 import os

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person who commissions a simulated robot on its dashboard: reads what the page shows, measures
-the simulator's truth, and answers."""
+"""A simulated person who commissions a robot on its dashboard: reads the page, measures the
+simulator's truth, and answers."""
 
 import contextlib
 import math
@@ -12,7 +12,7 @@ from motord.client import ClientError
 
 ENDED = ".ended"
 STOP_ABANDONED = "document.querySelector('.why') && document.querySelector('.halt')?.click()"
-"""Where a note says that this page does not conduct the procedure."""
+"""Where a note shows that this page does not conduct the procedure."""
 BUTTONS = ("Yes", "No", "Forward", "Backward", "No wheel turned", "Another wheel", "Normal")
 RADIUS_M, TRACK_M = 0.0825, 0.45
 TRUE_LEFT_M, TRUE_RIGHT_M, TRUE_TRACK_M = 1.03 * RADIUS_M, 1.02 * RADIUS_M, 0.96 * TRACK_M
@@ -27,14 +27,14 @@ def truth(*settings):
 
 
 def open_page(page, title):
-    """The form of one procedure."""
+    """Opens the form of one procedure."""
     page.evaluate("location.hash = 'commission'")
     form = page.get_by_role("button", name=title, exact=True)
     another = page.get_by_role("button", name="Another procedure", exact=True)
 
     def listed():
         """The procedure before may end only now, and its end is shown until it is closed. On a busy
-        machine it has got as far as a question that waits for its page."""
+        machine it may still have an open question."""
         page.evaluate(STOP_ABANDONED)
         if another.count():
             another.click()
@@ -45,7 +45,7 @@ def open_page(page, title):
 
 
 def fill(page, **values):
-    """By the labels of the fields."""
+    """Fills in fields by their labels."""
     for label, value in values.items():
         page.get_by_label(label.replace("_", " ")).fill(str(value))
 
@@ -55,22 +55,22 @@ def begin(page):
 
 
 def answers(page, replies):
-    """Answer what is asked, until the end; `replies`: pattern of a question → a button's name or a
-    number, or what makes it. Returns the text of the end."""
+    """Answers each question until the end; `replies`: pattern of a question → a button's name, a
+    number, or a function that returns one. Returns the text of the end."""
     while True:
         wait_until(
             lambda: page.locator(ENDED).count() or asked_text(page), "a question, or the end"
         )
         if page.locator(ENDED).count():
             return page.locator(f"{ENDED} .asks").inner_text()
-        if question := asked_text(page):  # else it went away meanwhile
+        if question := asked_text(page):  # empty: it was closed meanwhile
             known = [one for pattern, one in replies.items() if re.search(pattern, question)]
             assert known, question
             give(page, known[0]() if callable(known[0]) else known[0])
 
 
 def asked_text(page):
-    """The open question that is not answered yet; empty: there is none."""
+    """The text of the open question; empty if there is none."""
     return page.evaluate("document.querySelector('.question.open .asks')?.innerText ?? ''")
 
 
@@ -101,7 +101,7 @@ def rests_without_power(stage):
 
 
 class Floor:
-    """What a tape and marks on the floor show."""
+    """Measures the simulated robot as with a tape and marks on the floor."""
 
     def __init__(self, robot):
         self._sim = robot.stage.sim

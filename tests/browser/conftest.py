@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot with a dashboard, and a headless Chromium. Where either cannot be had, these tests are
-skipped and say so."""
+"""A robot with a dashboard, and a headless Chromium. Tests without either are skipped."""
 
 import shutil
 

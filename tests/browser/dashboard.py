@@ -26,9 +26,9 @@ CHEAP_ARGUMENTS = (
     "--in-process-gpu", "--disable-software-rasterizer", "--num-raster-threads=1",
     "--renderer-process-limit=1", f"--disable-features={','.join(UNNEEDED)}",
 )  # fmt: skip
-"""No processes but those that the page needs: a window of Chromium starts four."""
+"""Starts only the processes that the page needs: a window of Chromium starts four."""
 CHROMIUMS = ("chromium-headless-shell", "chromium", "chromium-browser")
-"""The first takes half of the CPU time: it has no window."""
+"""The first has no window and takes half of the CPU time."""
 DEADLINE_MS = DEADLINE_S * 1000.0
 EMPTY = "about:blank"
 STORAGE = """([origin, key, token, use]) => {
@@ -37,7 +37,7 @@ STORAGE = """([origin, key, token, use]) => {
     localStorage.clear();
     if (token !== null) localStorage.setItem(key, token);
 }"""
-"""Runs before each document's own programs: the first one finds the token and nothing else."""
+"""Runs before a document's scripts: the first document finds only the token in its storage."""
 SHOWN = """() => [document.body.innerText, ...performance.getEntriesByType('resource').map(
     ({ name, responseStatus, responseEnd }) => `${name} ${responseStatus} ${responseEnd} ms`,
 )].join("\\n")"""
@@ -63,8 +63,8 @@ class Dashboard:
 
     @contextlib.contextmanager
     def page(self, token=TOKEN, port=None, at="", viewport=None, fleet=()):
-        """A page whose storage holds the token alone. What it logs and which hosts it asks is
-        checked at its end. `fleet`: ports of other dashboards that it may ask."""
+        """A page whose storage holds the token alone. Its log and the hosts that it contacted are
+        checked at its end. `fleet`: ports of other dashboards that it may contact."""
         address = f"http://127.0.0.1:{port or self.port}"
         page = self._empty_page()
         problems, hosts = [], set()
@@ -97,8 +97,8 @@ class Dashboard:
         assert problems == [], problems
 
     def _empty_page(self):
-        """In a browser profile that no other page uses. One that a test has left is taken again: a
-        new one costs a second of a processor."""
+        """An empty page in a browser profile of its own. A profile that a test has left is reused:
+        a new one costs a second of a processor."""
         for context in self.browser.contexts:
             if [page.url for page in context.pages] == [EMPTY]:
                 return context.pages[0]
@@ -107,7 +107,7 @@ class Dashboard:
         return page
 
     def _emptied(self, page):
-        """It shows nothing and holds nothing down."""
+        """Empties the page and releases its mouse and keys."""
         if page.is_closed():
             page.context.close()
             return
@@ -133,7 +133,7 @@ class Dashboard:
         return bus_children(self.stage, command)
 
     def ready(self):
-        """Idle, whatever was before."""
+        """Brings the robot to idle from any state."""
 
         def attempt():
             with contextlib.suppress(Refused):
@@ -149,8 +149,8 @@ class Dashboard:
         wait_until(attempt, "idle")
 
     def set_off(self, page, hold=None):
-        """Armed, with the wheels turning by what the page holds: its pad, pressed again where a
-        busy machine has released it."""
+        """Armed, with the wheels turning: the page holds its pad, pressed again where a busy
+        machine has released it."""
         hold = hold or press_pad
         page.evaluate("location.hash = 'drive'")
         page.wait_for_selector(".pad")
@@ -169,13 +169,13 @@ class Dashboard:
         wait_until(turning, "the wheels turn")
 
     def end(self):
-        """Of a daemon that `restart` has started."""
+        """Ends a daemon that `restart` has started."""
         if self._again is not None:
             self.stage.robot.close()
             ended(self._again)
 
     def restart(self):
-        """As a service manager does after the daemon was killed."""
+        """Starts the daemon again, as a service manager does after a kill."""
         with self.stage.log.open("ab") as log:
             self._again = subprocess.Popen(
                 self.stage.daemon.args, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
@@ -190,7 +190,7 @@ class Dashboard:
 
 @contextlib.contextmanager
 def dashboard_of(browser, folder, file, *settings, **simulated):
-    """Of a robot that runs by a file in that folder; `simulated`: as `running`."""
+    """A robot with a dashboard, by a file in that folder; `simulated`: options of `running`."""
     token = folder / "token"
     token.write_text(TOKEN, encoding="utf-8")
     token.chmod(0o600)
@@ -198,7 +198,7 @@ def dashboard_of(browser, folder, file, *settings, **simulated):
     recordings = folder / "recordings"
     web = (
         "input.web.kind=web", f"input.web.port={port}", f'input.web.token_file="{token}"',
-        "input.web.rate_hz=20",  # a page draws each state: more costs every test its time
+        "input.web.rate_hz=20",  # a page draws each state: a higher rate slows every test
         "publish.tape.kind=mcap", f'publish.tape.folder="{recordings}"',
         "publish.tape.mode=manual", "publish.tape.journal=true",
     )  # fmt: skip
@@ -233,5 +233,5 @@ def held(page):
 
 
 def state_of(page):
-    """As the page shows it."""
+    """The state that the page shows."""
     return page.locator("header .chip[data-state]").get_attribute("data-state")

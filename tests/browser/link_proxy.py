@@ -14,8 +14,9 @@ LOOK_EVERY_S = 0.005
 
 
 class LinkProxy:
-    """`delay_s` each way; a part `stalls` of all chunks waits `stall_s` more, as a packet that TCP
-    has to send again, and holds up what comes after it. `cut`: nothing goes through."""
+    """Delays by `delay_s` in each direction. A part `stalls` of all chunks waits `stall_s` more,
+    like a packet that TCP has to send again, and holds up what follows. `cut`: nothing goes
+    through."""
 
     def __init__(self, port, delay_s=0.0, stalls=0.0, stall_s=0.2):
         self.delay_s, self.stalls, self.stall_s = delay_s, stalls, stall_s
@@ -43,7 +44,7 @@ class LinkProxy:
         self._selector.close()
 
     def drop(self):
-        """Every connection ends."""
+        """Ends every connection."""
         for one in list(self._sockets):
             with contextlib.suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)

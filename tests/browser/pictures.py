@@ -22,7 +22,7 @@ from motord.client import Refused
 
 FOLDER = ROOT / "docs/pictures"
 FILE = "/srv/motord/cart.toml"
-"""What the pictures show instead of the folder that the robot ran in."""
+"""Text that the pictures show instead of the folder that the robot ran in."""
 PHONE = {"width": 390, "height": 844}
 TALL = {"width": 1180, "height": 900}
 SPEED_M_S, TURN_RAD_S, PERIOD_S = 0.4, 0.9, 10.0
@@ -49,7 +49,7 @@ class Photographer:
         page.screenshot(path=FOLDER / f"dashboard-{name}.png")
 
     def take_moving(self, page, name, for_s):
-        """Once more where a busy machine has stopped it."""
+        """Taken again where a busy machine has stopped the robot."""
         moves = False
         while not moves:
             self.drive(for_s)
@@ -62,7 +62,7 @@ class Photographer:
         while (passed_s := time.monotonic() - begun_s) < for_s:
             with contextlib.suppress(Refused):
                 state = self.robot.stage.state()
-                if state in ("fault", "estop"):  # of a busy machine
+                if state in ("fault", "estop"):  # a fault of a busy machine
                     self.client.reset()
                 elif state == "idle":
                     self.client.arm()

@@ -20,7 +20,7 @@ def direction_rad(page, steered_by, *positions_rad):
     return page.evaluate(DIRECTION, [wheel, positions_rad])
 
 
-def test_a_wheel_points_where_the_joint_is_that_steers_it(page):
+def test_a_wheel_is_drawn_at_the_angle_of_its_steering_joint(page):
     assert direction_rad(page, None, 7.0, 0.5) == 0.25
     assert direction_rad(page, "steering", 7.0, 0.5) == 0.75
     assert math.isnan(direction_rad(page, "steering", 7.0, math.nan))
@@ -39,7 +39,7 @@ COUNTED = """async () => {
 }"""
 
 
-def test_a_robot_that_rests_is_not_drawn_again_and_one_that_moves_is(robot, page):
+def test_a_robot_is_redrawn_only_while_it_moves(robot, page):
     robot.ready()
     robot.wait_for_rest()
     page.wait_for_selector("canvas")

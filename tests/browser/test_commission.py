@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commissioning in a real browser: the simulated robot differs from its file, and the page finds
-out; whatever ends a procedure ends it at rest and without power."""
+the differences. Every procedure ends at rest and without power."""
 
 import math
 import re
@@ -43,7 +43,7 @@ def wheels(*settings):
 
 @pytest.fixture(scope="module")
 def robot(browser, tmp_path_factory):
-    """Its wheels are larger and closer to each other than its file says."""
+    """Its wheels are larger and closer to each other than in its file."""
     folder = tmp_path_factory.mktemp("commission")
     with dashboard_of(
         browser, folder, copied(folder), *SURE, sim_options=truth(*TRUTH)
@@ -62,7 +62,7 @@ def wheels_turn(robot):
 
 
 def spinning(robot, page):
-    """The left wheel turns, for so long that a test ends it."""
+    """The left wheel turns longer than the test lasts."""
     open_page(page, SPIN)
     page.get_by_label("Wheels").select_option("left")
     fill(page, Time_for_each_wheel=10)
@@ -98,7 +98,7 @@ def test_swapped_wheels_are_found_and_put_right_in_the_file(browser, tmp_path):
     ):
 
         def seen():
-            """The other wheel turns, and backward: it is mounted on the other side."""
+            """The other wheel turns backward: it is mounted on the other side."""
             other = page.locator(".question").get_by_role("button", name="Another wheel")
             return "Another wheel" if other.count() else "Backward"
 
@@ -155,7 +155,9 @@ def rubbing(browser, folder, was):
 
 
 @pytest.mark.parametrize(("title", "speed_too"), [(DEAD_BAND, False), (FEED_FORWARD, True)])
-def test_a_dead_band_is_recovered_and_the_speed_at_full_duty(browser, tmp_path, title, speed_too):
+def test_the_dead_band_and_the_speed_at_full_duty_are_recovered(
+    browser, tmp_path, title, speed_too
+):
     file, served = rubbing(browser, tmp_path, was=0.02)
     before = load_robot(file).joint
     with served as robot, robot.page() as page:
@@ -272,7 +274,7 @@ TAKEN = {
 
 
 @pytest.mark.parametrize("taken", TAKEN.values(), ids=TAKEN)
-def test_what_would_take_the_keys_that_stop_a_procedure_stops_it(robot, page, taken):
+def test_a_menu_or_a_drag_stops_a_procedure(robot, page, taken):
     spinning(robot, page)
     taken(page)
     wait_until(lambda: page.locator(".ended").count(), "the end, not the next question")
@@ -290,16 +292,16 @@ def test_a_cut_link_ends_a_procedure_at_rest_and_without_power(robot):
         assert "silent" in page.locator(".ended").inner_text()
 
 
-def test_what_was_filled_in_is_kept_while_the_link_is_lost(robot):
+def test_a_filled_in_form_is_kept_while_the_link_is_lost(robot):
     with LinkProxy(robot.port) as link, robot.page(port=link.port) as page:
         open_page(page, SPIN)
         fill(page, Time_for_each_wheel=7)
         start = page.get_by_role("button", name="Begin", exact=True)
         link.cut = True
         link.drop()
-        wait_until(lambda: start.count() and start.is_disabled(), "it cannot be begun")
+        wait_until(lambda: start.count() and start.is_disabled(), "Begin is disabled")
         link.cut = False
-        wait_until(start.is_enabled, "it can be begun again")
+        wait_until(start.is_enabled, "Begin is enabled again")
         assert page.get_by_label("Time for each wheel").input_value() == "7"
 
 
@@ -313,7 +315,7 @@ def test_the_emergency_stop_ends_a_procedure(robot):
         assert "emergency stop" in page.locator(".ended").inner_text()
 
 
-def test_another_page_sees_that_a_procedure_runs_and_commands_nothing_but_stops(robot):
+def test_another_page_shows_a_running_procedure_and_can_only_stop_it(robot):
     with robot.page() as page, robot.page(at="drive") as other:
         spinning(robot, page)
         wait_until(
@@ -323,13 +325,13 @@ def test_another_page_sees_that_a_procedure_runs_and_commands_nothing_but_stops(
         press_pad(other)
         wait_until(lambda: "is running" in other.locator(".notice").inner_text(), "it is refused")
         other.mouse.up()
-        wait_until(lambda: state_of(other) == "moving", "it is shown that the wheel goes on")
+        wait_until(lambda: state_of(other) == "moving", "the page shows that the wheel still turns")
         other.evaluate("location.hash = 'commission'")
         other.locator(".halt").click()
         rests_without_power(robot.stage)
 
 
-def test_a_page_without_the_token_sees_that_a_procedure_runs_and_nothing_of_it(robot):
+def test_a_page_without_the_token_shows_only_that_a_procedure_runs(robot):
     with robot.page() as page, robot.page(token=None) as other:
         spinning(robot, page)
         wait_until(lambda: "is running" in other.locator(".banner").inner_text(), "it is shown")
@@ -354,7 +356,7 @@ def test_axe_finds_nothing_in_a_question_and_a_result(robot):
     rests_without_power(robot.stage)
 
 
-def test_a_question_waits_for_a_page_that_was_closed_and_another_one_goes_on(robot):
+def test_a_question_outlives_its_page_and_another_page_answers_it(robot):
     with robot.page() as page:
         open_page(page, SPIN)
         begin(page)

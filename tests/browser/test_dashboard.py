@@ -27,7 +27,7 @@ def button(page, name):
 
 
 def arm(robot, page):
-    """By its button, again where a busy machine has let a drive answer late."""
+    """Arms by the button; pressed again where a drive answered late on a busy machine."""
 
     def attempt():
         state = state_of(page)
@@ -73,7 +73,7 @@ def test_plots_move_and_pause(robot, page):
 
 
 @pytest.mark.parametrize("hold", [press_pad, press_key])
-def test_what_the_page_holds_drives_the_robot_and_its_release_stops_it(robot, page, hold):
+def test_a_held_pad_or_key_drives_the_robot_and_its_release_stops_it(robot, page, hold):
     robot.set_off(page, hold)
     assert robot.stage.sim.truth().x_m != 0.0
     page.mouse.up()
@@ -89,7 +89,7 @@ HIDE = """() => {
 
 
 def freeze(page):
-    """The processes of all pages stand still, as those of a computer that is suspended."""
+    """Stops the processes of all pages, like a suspend of the computer."""
     session = page.context.browser.new_browser_cdp_session()
     found = session.send("SystemInfo.getProcessInfo")["processInfo"]
     FROZEN.extend(row["id"] for row in found if row["type"] == "renderer")
@@ -118,7 +118,7 @@ ENDINGS = {
 
 
 @pytest.mark.parametrize("ending", ENDINGS.values(), ids=ENDINGS)
-def test_each_end_of_the_dead_man_stops_the_wheels_though_the_pad_is_held(
+def test_leaving_or_losing_the_page_stops_the_wheels_while_the_pad_is_held(
     robot, page, thawed, ending
 ):
     robot.set_off(page)
@@ -129,7 +129,7 @@ def test_each_end_of_the_dead_man_stops_the_wheels_though_the_pad_is_held(
 
 
 @pytest.mark.parametrize("hold", [press_pad, press_key])
-def test_a_cut_link_stops_the_wheels_and_a_hold_does_not_go_on_when_it_is_back(robot, hold):
+def test_a_cut_link_stops_the_wheels_and_its_return_does_not_resume_a_hold(robot, hold):
     with LinkProxy(robot.port) as link, robot.page(port=link.port) as page:
         robot.set_off(page, hold)
         link.cut = True
@@ -139,14 +139,14 @@ def test_a_cut_link_stops_the_wheels_and_a_hold_does_not_go_on_when_it_is_back(r
         wait_until(lambda: page.locator(".chip.connected").count() == 1, "connected")
         page.mouse.move(300, 300)
         if hold is press_key:
-            page.keyboard.down("KeyW")  # again: what a keyboard sends while a key is held
+            page.keyboard.down("KeyW")  # the repeat of a held key
         assert not held(page)
         robot.wait_for_rest()
         page.mouse.up()
-        robot.set_off(page, hold)  # pressed again, it drives
+        robot.set_off(page, hold)  # a new press drives
 
 
-def test_a_link_that_delays_and_loses_still_drives_and_stops(robot):
+def test_a_slow_lossy_link_still_drives_and_stops(robot):
     link = LinkProxy(robot.port, delay_s=0.15, stalls=0.01, stall_s=0.1)
     with link, robot.page(port=link.port) as page:
         robot.set_off(page)
@@ -168,7 +168,7 @@ def test_an_emergency_stop_by_one_page_stops_what_another_drives(robot, page):
     shows(page, "idle")
 
 
-def test_the_button_of_the_emergency_stop_is_there_on_every_page(robot, page):
+def test_every_page_has_the_emergency_stop_button(robot, page):
     for tab in ("plots", "fleet"):
         page.evaluate(f"location.hash = '{tab}'")
         page.locator(ESTOP).click()
@@ -189,11 +189,11 @@ window.plug = (pressed) => {
         buttons: Array.from({length: 17}, (_, n) => ({pressed: pressed && n === 4, value: 0})),
     }];
 };"""
-"""The browser's interface; there is no gamepad here."""
+"""Replaces the browser's gamepad interface; no gamepad is needed."""
 
 
 def looked(page):
-    """The page has looked at its gamepads as they are now."""
+    """Waits until the page has read its gamepads."""
     seen = page.evaluate("window.looks")
     page.wait_for_function("seen => window.looks > seen + 1", arg=seen)
 
@@ -216,9 +216,7 @@ GAMEPAD_ENDINGS = {
 
 
 @pytest.mark.parametrize("ending", GAMEPAD_ENDINGS.values(), ids=GAMEPAD_ENDINGS)
-def test_a_gamepad_drives_until_it_ends_and_again_only_after_its_button_was_released(
-    robot, page, ending
-):
+def test_a_gamepad_drives_again_only_after_its_button_was_released(robot, page, ending):
     page.evaluate(GAMEPADS)
     robot.set_off(page, press_gamepad)
     page.evaluate(ending)
@@ -251,7 +249,7 @@ def test_a_second_page_does_not_drive_while_the_first_one_does(robot, page):
         robot.wait_for_rest()
 
 
-def test_a_page_without_the_token_watches_and_commands_after_it_was_entered(robot):
+def test_a_page_without_the_token_watches_and_commands_once_it_is_entered(robot):
     with robot.page(token=None) as page:
         shows(page, "idle")
         assert button(page, "Arm").first.is_disabled()
@@ -322,7 +320,7 @@ def test_a_register_is_read(robot, page):
     wait_until(lambda: cell.inner_text() == "36", "the register's value")
 
 
-def test_exchanges_are_shown_live_and_traced_no_longer_than_that(robot, page):
+def test_exchanges_are_traced_only_while_they_are_shown(robot, page):
     page.evaluate("location.hash = 'lines'")
     button(page, "Show live").click()
     rows = page.locator(".exchanges tbody tr")
@@ -338,7 +336,7 @@ def test_exchanges_are_shown_live_and_traced_no_longer_than_that(robot, page):
 def test_a_recording_is_started_stopped_downloaded_once_and_replayed(robot, page):
     page.evaluate("location.hash = 'log'")
     page.wait_for_selector(".recorder button")
-    if button(page, "Stop recording").count():  # left by a try that was too late
+    if button(page, "Stop recording").count():  # left by a try that came too late
         button(page, "Stop recording").click()
     button(page, "Start recording").click()
     files = page.locator(".recordings li", has_text="-manual.mcap")
@@ -388,7 +386,7 @@ def test_axe_finds_nothing(robot, width):
                 button(page, "Show live").click()
                 page.wait_for_selector(".exchanges tbody tr")
             assert axe_violations(page) == [], tab
-            page.emulate_media(color_scheme="dark")  # other colours, and nothing else
+            page.emulate_media(color_scheme="dark")  # only the colours differ
             assert axe_violations(page, "color-contrast") == [], (tab, "dark")
 
 
@@ -399,10 +397,10 @@ TAB_CHOSEN_EARLY = """(() => {
         setTimeout(() => then(performance.now()), 20);
     });
 })()"""
-"""Between what the page draws first and what it does after that."""
+"""Acts between the page's first drawing and what it does next."""
 
 
-def test_a_tab_that_is_chosen_as_soon_as_the_page_is_drawn_is_shown(robot):
+def test_a_tab_chosen_right_after_the_first_drawing_is_shown(robot):
     context = robot.browser.new_context()
     try:
         page = context.new_page()
@@ -413,7 +411,7 @@ def test_a_tab_that_is_chosen_as_soon_as_the_page_is_drawn_is_shown(robot):
         context.close()
 
 
-def test_a_tab_that_cannot_be_loaded_shows_why_and_opens_when_it_is_chosen_again(robot, page):
+def test_a_tab_that_fails_to_load_shows_why_and_opens_when_chosen_again(robot, page):
     scripts = "**/tabs/log.js"
     page.route(scripts, lambda route: route.abort("connectionrefused"))
     page.evaluate("location.hash = 'log'")
@@ -430,10 +428,10 @@ SPACE_EARLY = """new MutationObserver((_, observer) => {
     observer.disconnect();
     window.dispatchEvent(new KeyboardEvent('keydown', {code: 'Space'}));
 }).observe(document, {childList: true, subtree: true})"""
-"""As soon as there is a button, before the page does anything after its first drawing."""
+"""Presses the key as soon as there is a button, right after the page's first drawing."""
 
 
-def test_the_space_bar_counts_as_soon_as_the_page_is_drawn(robot):
+def test_the_space_bar_works_right_after_the_first_drawing(robot):
     with robot.page() as page, page.add_init_script(SPACE_EARLY):
         page.reload()
         page.locator(".estop-place .problem", has_text="E-STOP: there is no connection").wait_for()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two robots in one page: two daemons, two dashboards, and their rules between them."""
+"""Two robots in one page: two daemons, and two dashboards with their rules for each other."""
 
 import contextlib
 import os
@@ -53,7 +53,7 @@ def page(robots):
 
 
 def card(page, port):
-    """Of another robot, by its address."""
+    """The card of another robot, by its address."""
     return page.locator(".robot", has=page.locator(f"a[href='http://127.0.0.1:{port}']"))
 
 
@@ -133,7 +133,7 @@ def test_a_dashboard_that_does_not_list_the_page_is_not_shown(robots, page):
     assert "Speed" not in card(page, closed).inner_text()
 
 
-def test_the_browser_lets_the_page_connect_to_no_robot_that_is_not_listed(robots):
+def test_the_browser_refuses_connections_to_robots_that_are_not_listed(robots):
     here, _, (first, second, closed) = robots
     blocked = """address => new Promise(done => {
         document.addEventListener('securitypolicyviolation', event => done(event.blockedURI));

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps the release of a key or of the pad from the page ends the drive at once: the browser
-reports no release after that."""
+"""An event after which the browser reports no release of a key or the pad ends the drive at
+once."""
 
 import pytest
 from tests.browser.dashboard import held, press_key, press_pad
@@ -19,7 +19,7 @@ def key(pressed):
 
 def lose_capture(page):
     page.locator(".pad").evaluate("pad => pad.releasePointerCapture(1)")
-    page.mouse.move(5, 5)  # the browser looks at it with the next event of the pointer
+    page.mouse.move(5, 5)  # takes effect with the next event of the pointer
 
 
 OF_KEYS = {
@@ -62,7 +62,7 @@ def test_the_wheels_rest_though_no_release_arrives(robot, page, hold, ending):
     robot.wait_for_rest()
     assert not held(page)
     if hold is press_key:
-        page.keyboard.down("KeyW")  # again: what a keyboard sends while a key is held
+        page.keyboard.down("KeyW")  # the repeat of a held key
         assert not held(page)
     page.mouse.up(button="right")
 
@@ -76,11 +76,11 @@ def test_a_long_touch_of_the_pad_opens_no_menu_and_drives_on(robot, page):
     robot.wait_for_rest()
 
 
-def test_a_key_whose_release_was_lost_before_a_hold_is_no_part_of_the_next_one(robot, page):
+def test_a_key_with_a_lost_release_does_not_count_in_the_next_hold(robot, page):
     page.evaluate("location.hash = 'drive'")
     page.wait_for_selector(".pad")
     press_pad(page)
-    page.keyboard.down("KeyW")  # it holds nothing: the pad does
+    page.keyboard.down("KeyW")  # this hold drives nothing: the pad does
     page.mouse.up()
     page.keyboard.down("KeyS")
     requested = page.locator("dt", has_text="Requested").locator("xpath=../dd")

@@ -21,7 +21,7 @@ ROBOTS = sorted((ROOT / "config/robots").glob("*.toml"))
 
 @pytest.fixture(autouse=True)
 def file(robot):
-    """As it was, whatever a test has written."""
+    """The robot file, restored before each test."""
     before = robot.file.read_bytes()
     yield robot.file
     robot.file.write_bytes(before)
@@ -34,7 +34,7 @@ def button(page, name):
 
 
 def opened(page, text=None):
-    """The editor, with the file or with a text of one's own."""
+    """The open editor, with the file or with the given text."""
     page.evaluate("location.hash = 'file'")
     page.wait_for_selector(AREA)
     if text is not None:
@@ -43,7 +43,7 @@ def opened(page, text=None):
 
 
 def at_end_of(page, row):
-    """The cursor goes behind the first row that is this one."""
+    """Puts the cursor at the end of the first such row."""
     page.evaluate(
         """row => {
             const area = document.querySelector("textarea");
@@ -107,7 +107,7 @@ def test_keys_and_values_are_completed_with_the_keyboard_alone(page):
     assert page.locator(OPTIONS).count()
     page.keyboard.press("Escape")
     assert page.locator(OPTIONS).count() == 0
-    page.keyboard.press("Tab")  # no trap
+    page.keyboard.press("Tab")  # the keyboard leaves the editor
     assert page.evaluate("document.activeElement.tagName") != "TEXTAREA"
 
 
@@ -127,7 +127,7 @@ def test_enter_is_a_line_end_unless_a_completion_is_chosen(page):
 
 @pytest.fixture(scope="module")
 def programs(robot):
-    """A page whose functions are called, and nothing else."""
+    """A page of which only functions are called."""
     with robot.page() as page:
         yield page
 
@@ -167,7 +167,7 @@ def test_what_the_schema_allows_at_the_cursor_is_offered(programs, marked, mode,
 @pytest.mark.parametrize(
     "marked", ["# [saf|", 'x = """\n[saf|', "[robot]\nname |", '[safety]\non_fault = "ramp" |']
 )
-def test_nothing_is_offered_where_nothing_may_stand(programs, marked):
+def test_nothing_is_offered_where_the_schema_allows_nothing(programs, marked):
     found = programs.evaluate(COMPLETE, [marked.replace("|", ""), marked.index("|")])
     assert found["options"] == []
 
@@ -185,7 +185,7 @@ def leaves(table, path=()):
             yield from leaves(value, (*path, key))
 
 
-def test_the_reader_of_the_page_finds_the_keys_of_every_shipped_robot_file(programs):
+def test_the_pages_toml_reader_finds_every_key_of_the_shipped_robot_files(programs):
     texts = [path.read_text("utf-8") for path in ROBOTS]
     for path, text, found in zip(ROBOTS, texts, programs.evaluate(SCANNED, texts), strict=True):
         data = tomllib.loads(text)
@@ -201,7 +201,7 @@ def _at(data, path):
     return data
 
 
-def test_a_problem_is_marked_at_its_line_and_its_file_is_not_written(page, file):
+def test_a_problem_is_marked_at_its_line_and_the_file_is_not_written(page, file):
     before = file.read_bytes()
     changed(page, "linear_m_s = 1.0", "linear_m_s = -1.0")
     row = before.decode().split("\n").index("linear_m_s = 1.0") + 1
@@ -221,7 +221,7 @@ def test_a_problem_is_marked_at_its_line_and_its_file_is_not_written(page, file)
     assert file.read_bytes() == before
 
 
-def test_what_is_saved_is_shown_as_a_difference_first_and_the_robot_runs_on(robot, page, file):
+def test_saving_shows_the_difference_first_and_the_robot_runs_on(robot, page, file):
     before = file.read_bytes()
     changed(page, "linear_m_s = 1.0", "linear_m_s = 0.85 # wet floor")
     button(page, SAVE).click()
@@ -239,7 +239,7 @@ def test_what_is_saved_is_shown_as_a_difference_first_and_the_robot_runs_on(robo
     assert button(page, SAVE).is_disabled()
 
 
-def test_a_file_that_another_program_has_changed_is_compared_before_it_is_written(page, file):
+def test_a_file_changed_by_another_program_is_compared_before_it_is_written(page, file):
     changed(page, "linear_m_s = 1.0", "linear_m_s = 0.7")
     theirs = file.read_text("utf-8") + "\n# theirs\n"
     file.write_text(theirs, "utf-8")
@@ -258,7 +258,7 @@ def test_a_file_that_another_program_has_changed_is_compared_before_it_is_writte
     assert "linear_m_s = 0.7" in page.locator(AREA).input_value()
 
 
-def test_what_is_written_stays_while_another_page_of_the_dashboard_is_shown(page):
+def test_an_edited_text_is_kept_while_another_tab_is_shown(page):
     changed(page, "linear_m_s = 1.0", "linear_m_s = 0.75")
     page.evaluate("location.hash = 'overview'")
     page.wait_for_selector(".overview")
@@ -266,7 +266,7 @@ def test_what_is_written_stays_while_another_page_of_the_dashboard_is_shown(page
     assert page.locator(".robot-file header").inner_text().count("Changed, not saved") == 1
 
 
-def test_what_cannot_be_written_is_given_for_download(browser, tmp_path):
+def test_a_file_that_cannot_be_written_is_offered_for_download(browser, tmp_path):
     place = tmp_path / f"{'x' * 240}.toml"  # the backup's name is too long
     shutil.copy(ROBOT, place)
     with dashboard_of(browser, tmp_path, place, *SLOW) as robot, robot.page() as page:

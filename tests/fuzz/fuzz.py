@@ -3,8 +3,8 @@
 
     python tests/fuzz/fuzz.py --runs 2000 --seed 7 guard socket robot-file
 
-Prints the seed, and what goes wrong with the beginning of its input; the whole input is in a file
-of build/fuzz. Exit status 1 then. One run of "guard" is a line's life of many replies, one of
+Prints the seed, and each problem with the beginning of its input; the whole input is in a file of
+build/fuzz, and the exit status is 1. One run of "guard" is one line that gets many replies, one of
 "socket" a connection with many lines.
 """
 
@@ -29,7 +29,7 @@ TARGETS = {
     "socket": (local_socket.run, 50),
     "guard": (guard.run, 50),
 }
-"""What runs, and how many of its runs are one here: they differ by so much in cost."""
+"""The target, and how many of its runs count as one: the targets differ that much in cost."""
 PROBLEMS_MAX = 5
 SHOWN_BYTES = 400
 FAILED = ROOT / "build/fuzz"
@@ -38,7 +38,7 @@ FAILED = ROOT / "build/fuzz"
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("targets", nargs="*", default=list(TARGETS), metavar="TARGET",
-                        help=f"of {', '.join(TARGETS)}; none: all")  # fmt: skip
+                        help=f"{', '.join(TARGETS)}; default: all")  # fmt: skip
     parser.add_argument("--runs", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=None, help="default: a random one, printed")
     arguments = parser.parse_args()

@@ -2,8 +2,8 @@
 """A hostile Modbus slave, on a serial port, behind a Modbus TCP gateway or behind a serial server,
 against a whole line of the asyncio engine.
 
-Whatever it answers, no exception leaves the line but the cancellation at its end; the line recovers
-when the slave is honest again; and it sends the power-off at its end.
+Whatever it answers, no exception leaves the line but the cancellation at its end. The line recovers
+once the slave answers correctly again, and it sends the power-off at its end.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ MEDIA = ("asyncio", *GATEWAYS)
 PROFILES = ("zlac8015d", "duty-register", "speed-register", "bld-305s")
 REPLIES = 40
 HOSTILE_S = 5.0
-"""Hostile ones of a life, or as many as come in this time: a slave that is not understood is asked
-ever more rarely."""
+"""Hostile replies in a life, or fewer if this time ends first: a line polls a drive without valid
+replies ever more rarely."""
 LIVES_AT_ONCE = 4
 HONEST_PARTS = (0.0, 0.3, 0.7, 0.9)
-"""Of the replies of a life: where most are honest, a hostile one meets every kind of request."""
+"""Part of valid replies in a life: with many of them a hostile one meets every kind of request."""
 SPEED_RAD_S = 6.0
 WORDS = (b"\x00", b"\xff" * 4, bytes(300), b"\x01\x83\x00", b"\x01\x03\x02", b"\x55" * 600)
 
 
 def run(seed: int, runs: int) -> Iterator[tuple[str, bytes]]:
-    """What went wrong, with the replies; nothing where all is well."""
+    """Yields each problem with its replies."""
     yield from asyncio.run(_lives(seed, runs))
 
 
@@ -65,7 +65,7 @@ async def _lives(seed: int, runs: int) -> list[tuple[str, bytes]]:
 
 @dataclass
 class Hostile:
-    """What it makes of honest replies, and what it sent."""
+    """Turns valid replies into hostile ones, and keeps what it sent."""
 
     dice: random.Random
     peer: ScriptedSlave
@@ -131,14 +131,14 @@ async def _slave(medium: str, profile: str) -> AsyncIterator[ScriptedSlave]:
 
 
 def _follow(peer: ScriptedSlave, profile: str) -> None:
-    """This drive says in another register whether it is enabled."""
+    """This drive reports in another register whether it is enabled."""
     if profile == "speed-register":
         registers, known = peer.units[1].registers, find_profile(profile).registers
         registers[known["status"].address] = registers[known["enable"].address]
 
 
 async def _live(seed: int, number: int) -> list[tuple[str, bytes]]:
-    """One line: armed, set off, answered by a hostile slave, and ended meanwhile or after it."""
+    """One line: it is armed and driven, gets hostile replies, and ends during them or later."""
     dice = random.Random(f"{seed} {number}")
     medium, name = dice.choice(MEDIA), dice.choice(PROFILES)
     ends_hostile = dice.random() < 0.5
@@ -154,7 +154,7 @@ async def _live(seed: int, number: int) -> list[tuple[str, bytes]]:
                 if not ends_hostile:
                     await _recover(rig, peer, name)
                 was_open, mark = rig.line.state is not LineState.CLOSED, len(peer.received)
-        except* Exception as errors:  # noqa: BLE001  # any is what is looked for
+        except* Exception as errors:  # noqa: BLE001  # any exception is a finding
             problem = repr(errors.exceptions)
         else:
             if was_open and not _switched_off(peer.requests()[mark:], profile):
@@ -189,7 +189,7 @@ async def _recover(rig: Rig, peer: ScriptedSlave, profile: str) -> None:
 
 
 def _switched_off(requests: list[Request], profile: Any) -> bool:
-    """Every write of the profile's power-off is among these."""
+    """Whether these requests contain every write of the profile's power-off."""
     sent = {
         (address, value)
         for request in requests

@@ -20,13 +20,13 @@ from motord.client import Client, ClientError
 from motord.local_socket.server import LINE_BYTES_MAX
 
 LINES = 60
-"""Of one connection, which a line too long ends before."""
+"""Lines of one connection; a line that is too long ends it earlier."""
 READ_WITHIN_S = 20.0
 METHODS = (
     "status", "disarm", "stop", "estop", "reset", "reset_odometry", "drive", "lease", "release",
     "params.list", "params.get", "params.set", "latency", "nothing", "",
 )  # fmt: skip
-"""All but the one that arms by right."""
+"""All methods but `arm`, and two that do not exist."""
 WORDS = (
     b"NaN", b"Infinity", b"-1e999", b"1e999", b"null", b"true", b"{}", b"[]", b'""', b"\xff", b"\n",
     b"\r", b"\x00", b'"\\ud800"', b"\xed\xa0\x80", b'"2.0"', b'"id"', b'"params"', b'"method"',
@@ -42,7 +42,7 @@ KEYS = ("linear_m_s", "angular_rad_s", "owner", "priority", "lease_s", "names", 
 
 
 def run(seed: int, runs: int) -> Iterator[tuple[str, bytes]]:
-    """What went wrong, with the input; nothing where all is well."""
+    """Yields each problem with its input."""
     dice = random.Random(seed)
     with (
         tempfile.TemporaryDirectory(prefix="fuzz-") as folder,
@@ -69,7 +69,7 @@ def _judge(stage: Stage) -> str:
         if status["armed"] or state in ("armed", "moving"):
             return f"the robot is {state}"
         if state in ("fault", "estop", "stopping"):
-            with contextlib.suppress(ClientError):  # stopping: the next time
+            with contextlib.suppress(ClientError):  # stopping: reset at the next check
                 good.reset()
     truth = stage.sim.truth()
     if truth.moved_max_m_s > 0.0 or any(joint.enabled for joint in truth.joints.values()):
@@ -93,7 +93,7 @@ def _line(dice: random.Random) -> bytes:
     line = json.dumps(request).encode()
     if dice.random() < 0.5:
         line = mutated(dice, line, WORDS)
-    # a change may have made several lines of one
+    # a change may have split the line
     parts = [b"[]" if _arms_by_right(part) else part for part in line.split(b"\n")]
     return b"\n".join(parts) + b"\n"
 
@@ -109,14 +109,14 @@ def _arms_by_right(line: bytes) -> bool:
 
 
 def _talk(dice: random.Random, path: Path, lines: list[bytes]) -> None:
-    """All lines over one connection, in pieces; what is answered is read, or is not."""
+    """Sends all lines over one connection, in pieces, and reads the answers or not."""
     data = b"".join(lines)
     cuts = sorted(dice.randint(0, len(data)) for _ in range(dice.choice((0, 1, 5, 50))))
     with socket.socket(socket.AF_UNIX) as peer:
         peer.settimeout(READ_WITHIN_S)
         peer.connect(str(path))
         reads = dice.random() < 0.8
-        with contextlib.suppress(ConnectionError, TimeoutError):  # dropped, as it may be
+        with contextlib.suppress(ConnectionError, TimeoutError):  # the daemon may close it
             for begin, end in itertools.pairwise((0, *cuts, len(data))):
                 peer.sendall(data[begin:end])
             if reads:

@@ -10,7 +10,7 @@ CHANGES_MAX = 4
 
 
 def mutated(dice: random.Random, data: bytes, words: Sequence[bytes]) -> bytes:
-    """`data` with one to a few changes; `words` are what is put in."""
+    """`data` with one or a few changes; `words` are inserted."""
     for _ in range(dice.randint(1, CHANGES_MAX)):
         data = _changed(dice, data, words)
     return data
@@ -26,7 +26,7 @@ def _changed(dice: random.Random, data: bytes, words: Sequence[bytes]) -> bytes:
             return data[:begin] + bytes((data[begin] ^ 1 << dice.randrange(8),)) + data[begin + 1 :]
         case 1:  # leave out
             return data[:begin] + data[end:]
-        case 2:  # say twice
+        case 2:  # repeat
             return data[:end] + data[begin:]
         case 3:  # end here
             return data[:begin]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mutated robot files: the reader says what it found, or gives a robot. It never ends in a
+"""Mutated robot files: the reader reports its findings, or returns a robot. It never ends in a
 traceback, and its time and memory are bounded."""
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from motord.config import ConfigError, load_robot
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "config/robots").glob("*.toml"))
 DEADLINE_S = 30
-"""A file takes some 20 ms. Only a reader that hangs meets this, also on a busy machine."""
+"""A file takes some 20 ms. Only a reader that hangs reaches this, even on a busy machine."""
 MEMORY_BYTES = 1 << 30
-"""So much more than it has at its start."""
+"""The reader may take this much more than the process has at its start."""
 WORDS = (
     b"nan", b"-inf", b"1e400", b"-1", b"0", b"0x7fffffffffffffff", b"9" * 400, b"9" * 5000,
     b"true", b'""', b"[]", b"{}", b"[[1], {a = 1}]", b'"\\u0000"', b"'''", b'"""', b"\xff\xfe",
@@ -33,11 +33,11 @@ WORDS = (
 
 
 class _TooSlow(BaseException):
-    """Passes whatever catches errors."""
+    """Not an Exception, so no handler of errors catches it."""
 
 
 def run(seed: int, runs: int) -> Iterator[tuple[str, bytes]]:
-    """What went wrong, with the input; nothing where all is well."""
+    """Yields each problem with its input."""
     dice = random.Random(seed)
     originals = [path.read_bytes() for path in SHIPPED]
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder, _bounded_memory():
@@ -83,7 +83,7 @@ def _try(path: Path, data: bytes) -> str:
         return _read(path)
     except _TooSlow:
         return f"it takes longer than {DEADLINE_S} s"
-    except Exception as error:  # noqa: BLE001  # any is what is looked for
+    except Exception as error:  # noqa: BLE001  # any exception is a finding
         return f"{type(error).__name__}: {error}"
     finally:
         signal.alarm(0)
@@ -96,7 +96,7 @@ def _read(path: Path) -> str:
     except ConfigError as error:
         problems = [str(problem) for problem in error.problems]
         if not problems:
-            return "an error that says nothing"
+            return "an error without a text"
     several = [text for text in problems if len(text.splitlines()) != 1]
     return f"a finding that is not one line: {several[0]!r}" if several else ""
 

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // A CiA 402 drive on node-canopen: node cia402_drive.mjs NODE MODULES. Object dictionary, SDO server, NMT, heartbeat and
-// PDOs are that project's; the state machine of CiA 402-2, 8.3, is fed by what they bring. MODULES: the folder of the npm
-// packages. Its bus is one JSON object a line: {"id", "data"} in and out. In, too: {"set": [index, value]},
-// {"fault": code}. Out, too, whenever it changes: what it is and what it was sent.
+// PDOs are that project's; the state machine of CiA 402-2, 8.3, gets its input from them. MODULES:
+// the folder of the npm packages. Its bus is one JSON object a line: {"id", "data"} in and out. In,
+// too: {"set": [index, value]}, {"fault": code}. Out, too, at each change: its state and what it
+// received.
 
 import { createRequire } from "node:module";
 import { createInterface } from "node:readline";

@@ -7,5 +7,5 @@ from tests.peers.mqtt.mosquitto import free_port
 
 @pytest.fixture(scope="module")
 def port():
-    """A free one, for what the robot of this file serves."""
+    """A free port for the server of this file's robot."""
     return free_port()

@@ -11,7 +11,7 @@ THERE, HERE = "10.213.77.1", "10.213.77.2"
 
 
 def why_not():
-    """Why there can be none here; nothing: there can."""
+    """Why no cable can be made here; empty if it can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     if shutil.which("ip") is None:
@@ -28,7 +28,7 @@ def why_not():
 
 @dataclass
 class Cable:
-    """Between the namespace `there`, whose end has the address THERE, and `here`."""
+    """A cable between the namespace `there`, whose end has the address THERE, and `here`."""
 
     there: str
     here: str
@@ -41,7 +41,7 @@ class Cable:
 
 
 def inside(name):
-    """What goes before a command so that it runs there."""
+    """The prefix with which a command runs in that namespace."""
     return ("ip", "netns", "exec", name)
 
 

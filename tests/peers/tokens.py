@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The token of the inputs that tests command by."""
+"""The token of the inputs that tests send commands to."""
 
 TOKEN = "a-token-of-sixteen-and-more"
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A whole daemon on simulated drives, each a process of its own, for tests of its life."""
+"""A daemon on simulated drives, each a process of its own."""
 
 import contextlib
 import json
@@ -21,20 +21,20 @@ from motord_hal.sim.control import SimControl
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = ROOT / "config/robots/demo.toml"
 DEADLINE_S = 100.0
-"""Of what only a hung program does not do: a busy machine may start one in half a minute."""
+"""Only a hung program takes longer: a busy machine may take half a minute to start one."""
 PATIENT = (
     "safety.feedback_timeout_s=2.0",
     "safety.heartbeat_timeout_s=5.0",
     "safety.drive_watchdog_s=2.0",
 )
-"""These tests are about what happens, not about when: a busy machine is no fault."""
+"""These tests check what happens, not when: a delay by a busy machine is no fault."""
 SLOW = (
     "joint.left.reply_timeout_s=0.2",
     "joint.right.reply_timeout_s=0.2",
     "loop.rate_hz=250",
 )
-"""The demonstration's robot, for the same reason, and because a faster one takes a third of a CPU
-in each of the tests that run side by side."""
+"""Slows the demonstration's robot, for the same reason: a faster loop takes a third of a CPU in
+each of the tests that run side by side."""
 UNHURRIED = (
     "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
 )  # fmt: skip
@@ -44,7 +44,7 @@ RETRIED = tuple(
     for name in ("left", "right")
     for setting in ("tries=10", "reply_timeout_s=0.2")
 )
-"""Nor is a reply that it delays, of two joints called left and right."""
+"""Nor is a delayed reply, for two joints called left and right."""
 SURE = (*UNHURRIED, *RETRIED)
 POLL_S = 0.03
 LATCHED_S = 15.0
@@ -55,13 +55,13 @@ HELD_TORQUE = (
     *(f"joint.{name}.velocity_max_rad_s=40" for name in ("left", "right")),
     *(f"joint.{name}.speed_loop.torque_max_n_m=1.5" for name in ("left", "right")),
 )
-"""A drive holds its torque while a busy machine holds up the loop: no fault of two joints called
+"""While a busy machine holds up the loop, a drive keeps its torque: no fault for two joints called
 left and right."""
 
 
 def patient_on_can(folder, name, profile):
-    """A copy of this robot file, and of the profile of its drives, whose time-outs a busy machine
-    that stalls the simulator does not reach."""
+    """A copy of this robot file and of its drive profile, with time-outs that a stalled simulator
+    on a busy machine does not reach."""
     drive = (ROOT / f"config/drives/{profile}.toml").read_text(encoding="utf-8")
     drive = re.sub(r"silence_s = .*", "silence_s = 5.0", drive)
     (folder / "patient.toml").write_text(
@@ -75,7 +75,7 @@ def patient_on_can(folder, name, profile):
 
 
 def wait_until(condition, what, deadline_s=DEADLINE_S):
-    """Ask again until it holds; what came, or a failure that says what did not."""
+    """Calls `condition` until it is true; returns its value, or fails with `what`."""
     end_s = time.monotonic() + deadline_s
     while not (found := condition()):
         assert time.monotonic() < end_s, f"{what}: not within {deadline_s} s"
@@ -95,7 +95,7 @@ class Stage:
         return self.robot.status()["state"]
 
     def wait_for(self, *states):
-        """A fault is latched: when it has been there so long, nothing else will come."""
+        """Waits for one of these states. A fault that stays latched for LATCHED_S fails."""
         latched_s = None
 
         def there():
@@ -120,7 +120,7 @@ class Stage:
 
 
 def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
-    """Armed, and its wheels fast; a fault that a too busy machine latched meanwhile is reset."""
+    """Arms and drives until the wheels are fast; resets a fault of a busy machine."""
 
     def turning():
         with contextlib.suppress(Refused):
@@ -137,8 +137,8 @@ def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
 
 
 def obeying(stage, command):
-    """Armed and moving; `command` is called with whether it may be commanded yet. A fault that a
-    too busy machine latched meanwhile is reset."""
+    """Armed and moving; `command` is called with whether motion may be commanded yet. A fault that
+    a busy machine latched meanwhile is reset."""
 
     def attempt():
         state = stage.state()
@@ -154,7 +154,7 @@ def obeying(stage, command):
 
 
 def becomes_idle(stage):
-    """Whatever it was: a latched fault, also of a machine that was too busy, is reset."""
+    """Resets a latched fault, also one of a busy machine, and disarms."""
 
     def idle():
         with contextlib.suppress(ClientError):
@@ -171,13 +171,13 @@ TRIES = 3
 
 
 def was_held_up(error):
-    """Whether a motion ended as it must where a busy machine lets the program, or the feedback that
-    it moves by, wait for half a second. Past the goal is a failure: it is not among them."""
+    """Whether a busy machine ended a motion, by holding up the program or its feedback for half a
+    second. An overshoot is not among these reasons: it is a failure."""
     return any(why in str(error) for why in ("stale", "was not looked at"))
 
 
 def in_time(move):
-    """What it returns; again where it was held up, at most TRIES times."""
+    """The result of `move`, which is repeated where it was held up, at most TRIES times."""
     for _ in range(TRIES - 1):
         try:
             return move()
@@ -220,7 +220,7 @@ def connected(daemon, socket, log):
 
 
 def ended(daemon):
-    """Politely, and at last by force."""
+    """Ends it by a signal, and at the deadline by SIGKILL."""
     daemon.send_signal(signal.SIGCONT)
     daemon.terminate()
     try:
@@ -244,7 +244,7 @@ def running(
     sim_options=(),
     faults=(),
 ):
-    """Its name is its own: tests run side by side, and a robot's state page is there once."""
+    """A daemon. Its robot's name is unique, because each name has one state page."""
     with contextlib.ExitStack() as cleanup:
         sim, places = None, [f"line.rs485.port={json.dumps(str(folder / 'nothing'))}"]
         if simulated:

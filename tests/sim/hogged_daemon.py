@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon with bad neighbours in its process: a thread that keeps the GIL for 10 s, and a
-callback that never returns.
+"""The daemon with two faults in its process: a thread that keeps the GIL for 10 s, and a callback
+that never returns.
 
-The first begins when a line comes through the named pipe in HOG_PIPE. The sleep is called through
-PyDLL, which does not release the GIL: no Python line runs anywhere in the process meanwhile. The
-second begins with SIGUSR1, whose handler runs in the thread of the event loop.
+The first begins with a line on the named pipe in HOG_PIPE. It calls sleep through PyDLL, which does
+not release the GIL: no Python code runs in the process meanwhile. The second begins with SIGUSR1,
+whose handler runs in the thread of the event loop.
 """
 
 import ctypes

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A command of motord at a real pseudo-terminal, and a person at the keyboard or with
-a tape on the floor; a robot whose file is a copy, and whose simulated truth may differ from it.
+"""A command of motord at a pseudo-terminal, and a simulated person who types and measures. The
+robot's file is a copy; the simulated robot may differ from it.
 """
 
 import contextlib
@@ -32,11 +32,11 @@ SETTINGS = (
     "loop.rate_hz=250", "input.socket.kind=socket", "input.socket.lease_s=1.0",
     "safety.command_timeout_s=1.0",
 )  # fmt: skip
-"""A busy machine is no fault."""
+"""A delay by a busy machine is no fault."""
 
 
 class Screen:
-    """What the command has written, and its keyboard."""
+    """The command's output and its keyboard."""
 
     def __init__(self, process, master):
         self.process, self.master, self.text, self._seen = process, master, "", 0
@@ -48,13 +48,13 @@ class Screen:
             data = os.read(self.master, 65536)
         except OSError:  # the other end is closed
             return False
-        # progress is one line that is written over: it is no text to wait for
+        # progress lines are overwritten: they are dropped
         text = data.decode(errors="replace").replace("\r\n", "\n")
         self.text += re.sub(r"\r\x1b\[K[^\n\r]*", "", text)
         return bool(data)
 
     def wait(self, pattern):
-        """Until it stands behind what was waited for before."""
+        """Waits for the pattern, after the text that was waited for before."""
         end_s = time.monotonic() + DEADLINE_S
         while not (found := re.search(pattern, self.text[self._seen :])):
             assert time.monotonic() < end_s, f"{pattern}: not within {DEADLINE_S} s\n{self.text}"
@@ -63,7 +63,7 @@ class Screen:
         return found
 
     def until(self, condition, what):
-        """Something that the command does comes about, before the command ends."""
+        """Waits for the condition; fails if the command ends first."""
 
         def found():
             ended = self.process.poll() is not None
@@ -77,8 +77,8 @@ class Screen:
         os.write(self.master, text.encode())
 
     def answers(self, replies):
-        """Whatever is asked next, until the end; `replies`: pattern of a question → its answer, or
-        what makes it. Returns the exit status."""
+        """Answers each question until the command ends. `replies`: pattern of a question → its
+        answer, or a function that returns it. Returns the exit status."""
         pattern = "|".join(f"(?:{one})" for one in replies)
         while True:
             end_s = time.monotonic() + DEADLINE_S
@@ -134,7 +134,7 @@ def at_terminal(*words):
 
 
 def copied(folder, robot=ROBOT, replaced=()):
-    """A robot file of one's own; `replaced`: pairs of texts."""
+    """A copy of a robot file; `replaced`: pairs of texts."""
     place = Path(folder) / "cart.toml"
     text = robot.read_text(encoding="utf-8")
     for old, new in replaced:
@@ -146,8 +146,8 @@ def copied(folder, robot=ROBOT, replaced=()):
 
 @contextlib.contextmanager
 def robot_of(folder, file, *settings, truth=(), wheels=(), faults=(), simulator=()):
-    """A daemon that runs by `file`, on drives and wheels that differ from it by `truth`, settings
-    of the simulator, and by `wheels`, their physics. `simulator`: more of its options."""
+    """A daemon that runs by `file`. The simulated robot differs from it by `truth`, settings of the
+    simulator, and by `wheels`, their physics. `simulator`: more options."""
     options = [part for setting in truth for part in ("--set", setting)]
     options += [part for setting in wheels for part in ("--wheel", setting)]
     options += simulator
@@ -162,7 +162,7 @@ def robot_of(folder, file, *settings, truth=(), wheels=(), faults=(), simulator=
 
 
 class Floor:
-    """A person with a tape and marks on the floor, with the simulator's truth."""
+    """A person with a tape and marks on the floor, simulated by the simulator's truth."""
 
     def __init__(self, stage):
         self._sim = stage.sim
@@ -193,8 +193,8 @@ class Floor:
 
 
 def calibrated(stage, *words, write="y"):
-    """Exit status and text of `motord calibrate WORDS`, with a person on the floor; again where a
-    busy machine held it up, at most TRIES times."""
+    """Exit status and text of `motord calibrate WORDS`, answered by a Floor; run again where a busy
+    machine held it up, at most TRIES times."""
     for number in range(TRIES):
         if number:
             becomes_idle(stage)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinds of another package, in motord-bus; among them an input that commands as long as it has an
-order to, and does to its process what it is ordered to do."""
+"""Bus kinds of another package, in motord-bus. One is an input that commands while its order says
+so, and breaks its process in the ordered way."""
 
 import contextlib
 from pathlib import Path
@@ -51,7 +51,7 @@ class Planted:
 
 
 def offered(folder, group, name, code, made_by):
-    """A package with that code, and its entry point of that name; the environment to find it in."""
+    """Writes a package with that code and entry point; returns the environment that finds it."""
     (folder / f"{name}_kind.py").write_text(code, encoding="ascii")
     info = folder / f"{name}_kind-1.0.dist-info"
     info.mkdir()
@@ -62,7 +62,7 @@ def offered(folder, group, name, code, made_by):
 
 
 class Planted:
-    """As [input.planted]."""
+    """The kind of [input.planted]."""
 
     def __init__(self, folder):
         self._order = Path(folder) / "order"
@@ -73,12 +73,12 @@ class Planted:
         )  # fmt: skip
 
     def order(self, word):
-        """`drive` lasts until something else is ordered; `segfault`, `leak` and `loop` are done."""
+        """`drive` lasts until the next order; `segfault`, `leak` and `loop` happen at once."""
         whole = self._order.with_suffix(".new")
         whole.write_text(word, encoding="ascii")
         whole.replace(self._order)
 
     def rest(self):
-        """Nothing more is commanded."""
+        """Removes the order: the input commands no more."""
         with contextlib.suppress(FileNotFoundError):
             self._order.unlink()

@@ -17,11 +17,11 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT
 
 PING, PONG = b"\x1b[5n", b"\x1b[0n"
 REPEAT_S = 0.033
-"""A keyboard's repeat."""
+"""The repeat period of a keyboard."""
 
 
 class PseudoTerminal:
-    """`answers`: it answers status reports, as a terminal whose link is fast."""
+    """`answers`: whether it answers status reports, like a terminal with a fast link."""
 
     def __init__(self, *words, answers=True, columns=80, rows=24, environ=None):
         self.master, slave = pty.openpty()
@@ -42,7 +42,7 @@ class PseudoTerminal:
         os.write(self.master, keys.encode())
 
     def look(self, within_s=0.0):
-        """Takes what the program has written, and answers its pings."""
+        """Reads what the program has written, and answers its status requests."""
         while select.select([self.master], [], [], within_s)[0]:
             try:
                 data = os.read(self.master, 65536)
@@ -57,7 +57,7 @@ class PseudoTerminal:
 
     @property
     def text(self):
-        """Without control sequences."""
+        """The screen's text without control sequences."""
         plain = re.sub(rb"\x1b\[[0-?]*[ -/]*[@-~]|\x1b[()][0-9A-B]|\x1b[=>]", b"", self.screen)
         return plain.decode(errors="replace")
 
@@ -77,7 +77,7 @@ class PseudoTerminal:
 
     def exit_status(self):
         self.wait_until(lambda: self.process.poll() is not None, "its end")
-        self.look()  # its last words may have come after the look before
+        self.look()  # its last output may have come after the last read
         return self.process.returncode
 
     def hang_up(self):

@@ -14,30 +14,28 @@ UNITS = 4
 BATCH_S = 1.6
 """The faults of a batch begin within this time."""
 RARE_PART = 0.8
-"""Of the faults of replies: so many hit a reply now and then all along, so that the robot drives on
-among them and what is accepted there is seen; the others hit every one for a moment."""
+"""This part of the reply faults hits a reply now and then during the whole batch: the robot drives
+on, and what it accepts is checked. The others hit every reply for a moment."""
 RARE_P = 0.02
 FAULT_BITS = (0, 2, 5, 10)
-"""Of the profile, a warning among them."""
+"""Bits of the profile, one of them a warning."""
 VARIANTS = {
     "late-for-long": ("delay", {"ms": (5.0, 100.0), "for_s": (0.2, BATCH_S), "p": (1.0, 1.0)}),
     "exception-code-0": ("exception", {"code": (0.0, 0.0), "p": (RARE_P, 1.0)}),
 }
-"""Kinds of their own in the mix: a kind of the simulator, and the ranges of what is drawn for it.
-A drive that answers late for so long that replies meet newer requests; the code that the standard
-does not have."""
+"""Kinds of this mix: a kind of the simulator, and the ranges of its values. A drive answers so late
+that replies meet newer requests; an exception has a code that the standard does not have."""
 UNTAGS = "encoder-wrap"
-"""Takes the tags away that the counters have: it comes in the second half of a robot's life."""
+"""Removes the tags of the counters, so it comes in the second half of a robot's life."""
 _NOT_OF_LINES = ("unheard", "bus-off", *MOTOR_DEFECTS)
 SERIAL_KINDS = (*(kind for kind in KINDS if kind not in _NOT_OF_LINES), *VARIANTS)
-"""All that can happen on a serial line: two belong to CAN alone. Defects of motor and encoder break
-what is judged here, the wheel's speed and its counts: tests/sim/robots/test_doubted_feedback.py has
-them.
+"""All kinds of a serial line: two belong to CAN alone. Defects of motor and encoder change what is
+judged here, the wheel's speed and its counts: tests/sim/robots/test_doubted_feedback.py has them.
 """
 _OWN_KEYS = ("unit", "from_s", "at_s", "for_s", "p", "nth")
 
 
-# what is drawn evenly from a range instead of the kind's whole range
+# ranges of values that are drawn evenly, instead of the kind's whole range
 _RANGES = {
     ("delay", "ms"): (1, 100),
     ("segments", "ms"): (1, 10),

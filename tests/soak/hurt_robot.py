@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One robot: its simulator, its daemon, a source that drives it, and what hurts it."""
+"""One robot: its simulator, its daemon, a source that drives it, and its faults."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ LINE = "rs485"
 DEADLINE_S = 100.0
 RECOVER_S = 100.0
 """From the last fault's end until the robot moves again: back-off of 2 s, opening, set-up and
-arming, each of which a busy machine may draw out."""
+arming. A busy machine may delay each."""
 REST_S = 5.0
-"""From a latched fault until the wheels rest: 0.5 s of the drives' watchdog, or power off and a
-wheel of 12 rad/s that its friction brings to rest in 2.5 s; and a busy machine."""
+"""From a latched fault until the wheels rest: 0.5 s of the drives' watchdog, or 2.5 s in which
+friction stops a wheel of 12 rad/s without power; the rest is for a busy machine."""
 TURNING_RAD_S = 0.5
 
 
 class Violation(Exception):
-    """The robot has done what it must not, or has not done what it must."""
+    """The robot did what it must not do, or did not do what it must do."""
 
 
 @dataclass(slots=True)
 class Outcome:
-    """Of one robot's life."""
+    """The outcome of one robot's life."""
 
     seed: int
     engine: str
@@ -68,9 +68,9 @@ class Outcome:
 
 
 def limit_m_s() -> tuple[float, float]:
-    """How fast a wheel's rim may ever be, and the tolerance: half a step of the set-point's
-    register, and what a wheel's speed loop is deflected by when friction turns round: a step of
-    load moves a PI loop by less than its proportional gain alone does."""
+    """The highest speed of a wheel's rim, and its tolerance: half a step of the set-point's
+    register, and the deflection of a wheel's speed loop when friction reverses. A step of load
+    deflects a PI loop by less than its proportional gain alone would."""
     robot = tomllib.loads(ROBOT.read_text(encoding="utf-8"))
     radius_m = robot["base"]["wheel_radius_m"]
     fastest_rad_s = max(joint["velocity_max_rad_s"] for joint in robot["joint"].values())
@@ -82,7 +82,7 @@ def limit_m_s() -> tuple[float, float]:
 
 
 def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
-    """What came. Raises Violation."""
+    """The first true value of `condition`. Raises Violation at the deadline."""
     end_s = time.monotonic() + within_s
     while not (found := condition()):
         if time.monotonic() > end_s:
@@ -92,8 +92,8 @@ def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
 
 
 class Driver(threading.Thread):
-    """Commands a random twist and changes it every now and then. Between two twists, and while it
-    is to let go, it commands zero: the daemon ignores a source that commanded motion before
+    """Commands a random twist and changes it every now and then. Between two twists, and while
+    `letting_go` is set, it commands zero: the daemon ignores a source that commanded motion before
     the robot was armed until that source has commanded zero."""
 
     def __init__(self, path: Path, seed: int) -> None:
@@ -117,7 +117,7 @@ class Driver(threading.Thread):
             try:
                 self._client.drive(*((0.0, 0.0) if zero else twist))
             except Refused:
-                pass  # latched: what recovers the robot sees it
+                pass  # latched: `recover` handles it
             except ClientError as error:
                 self.problem = str(error)
                 return
@@ -136,7 +136,7 @@ class HurtRobot:
     refusal: str = ""
     """What the daemon answered when it last refused to reset or to arm."""
 
-    # -------------------------------------------------------------------------------- what is
+    # -------------------------------------------------------------------------------- the state
     def status(self) -> dict[str, Any]:
         if self.daemon.poll() is not None:
             raise Violation(f"the daemon has ended with {self.daemon.returncode}")
@@ -148,9 +148,9 @@ class HurtRobot:
         wheels = self.sim.truth().joints.values()
         return any(abs(wheel.velocity_rad_s) > TURNING_RAD_S for wheel in wheels)
 
-    # ------------------------------------------------------------------------------- what is done
+    # ------------------------------------------------------------------------------- the actions
     def recover(self, end_s: float) -> bool:
-        """Whatever is latched: rest, reset, arm, and off again. False: not until `end_s`."""
+        """Brings the robot to rest, resets, arms and drives again. False: not before `end_s`."""
         while time.monotonic() < end_s:
             state = self.status()["state"]
             if state in ("armed", "moving"):
@@ -175,7 +175,7 @@ class HurtRobot:
             self.refusal = str(refusal)
 
     def _arm(self) -> None:
-        """A drive that latched a fault while the robot was idle is refused: it wants a reset."""
+        """A drive that latched a fault while the robot was idle needs a reset before arming."""
         try:
             self.robot.arm()
         except Refused as refusal:
@@ -183,7 +183,7 @@ class HurtRobot:
             self.robot.reset()
 
     def suffer(self, faults: list[str]) -> float:
-        """A batch of faults from a drive on; seconds until it moved again."""
+        """Injects a batch of faults while it drives; returns the seconds until it moved again."""
         for text in faults:
             self.sim.inject(text)
         end_s = time.monotonic() + BATCH_S + 0.4
@@ -195,7 +195,7 @@ class HurtRobot:
         wait_for(lambda: self._plugged(), RECOVER_S, "the plug is in again")
         if not self.recover(began_s + RECOVER_S):
             raise Violation(f"it does not move again: {self.describe()}")
-        wait_for(self._all_answer, RECOVER_S, "everything answers again")
+        wait_for(self._all_answer, RECOVER_S, "every drive answers again")
         self.check()
         return time.monotonic() - began_s
 
@@ -212,7 +212,7 @@ class HurtRobot:
         what = f"{found['state']}, {found['why']}, {found['faults']}, {joints}"
         return f"{what}; it last refused: {self.refusal}"
 
-    # ------------------------------------------------------------------------------- what is proved
+    # ------------------------------------------------------------------------------- the checks
     def check(self) -> None:
         """Raises Violation."""
         self.reported.check(self.sim)
@@ -301,7 +301,7 @@ def live(
     kinds: Sequence[str] = SERIAL_KINDS,
     sent: Callable[[str], None] = print,
 ) -> Outcome:
-    """One robot from its start to the last fault; what became of it."""
+    """One robot from its start to the last fault; returns its outcome."""
     outcome = Outcome(seed, engine)
     began_s = time.monotonic()
     with (

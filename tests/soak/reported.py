@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Was every count that the core was given really reported by its drive, then and there?"""
+"""Checks that the drive had really reported each count that the core was given, at that time."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from motord_hal.drives.profile import Register
 from motord_hal.sim.control import SimControl
 
 EXCHANGE_S = 0.05
-"""Nothing is waited for longer: 1 ms turn-around and 20 ms allowance, 2 ms on the wire, and a
-machine that is late by as much again."""
+"""The longest exchange: 1 ms turn-around and 20 ms allowance, 2 ms on the wire, and as much again
+for a late machine."""
 PAGE = 1000
 """Entries of the journal in one answer."""
 
 
 @dataclass(slots=True)
 class Unit:
-    """What one drive has reported of its counter: when, and from which journal number on to ask."""
+    """The reported counts of one drive with their times, and the next journal number to request."""
 
     asked: int = 0
     times_ns: defaultdict[int, list[int]] = field(default_factory=lambda: defaultdict(list))
@@ -43,8 +43,8 @@ class Reported:
     _known: dict[int, Unit] = field(default_factory=dict)
 
     def check(self, sim: SimControl) -> None:
-        """Judge what came since the last time. The tap is read first: the journal is ahead of it,
-        because a drive says a thing before it is accepted."""
+        """Judge the new counts. The tap is read first: the journal is ahead of it, because a drive
+        reports a count before the core accepts it."""
         accepted = self._accepted()
         for unit in self.units:
             self._learn(sim, unit)

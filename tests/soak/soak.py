@@ -3,9 +3,9 @@
 
     python tests/soak/soak.py --faults 10000 --seed 7 --engine both --workers 2
 
-Proved all along: the core is given no count that its drive has not reported, no wheel is ever
-faster than its limit, and whenever the faults end the robot comes to rest, is reset, armed and
-drives again. Exit status 1 on any violation.
+It checks that the core gets no count that its drive has not reported, that no wheel exceeds its
+limit, and that after the faults the robot comes to rest, is reset and armed, and drives again. Exit
+status 1 on any violation.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def lives(faults: int, seed: int, engine: str) -> list[tuple[int, str, int]]:
 
 
 def soak(arguments: argparse.Namespace) -> list[Outcome]:
-    """All lives, so many at once. A robot is processes of its own; a thread only talks to them."""
+    """All lives, `workers` at once. A thread only talks to a robot's own processes."""
     planned = lives(arguments.faults, arguments.seed, arguments.engine)
     lock, done = threading.Lock(), []
 
@@ -71,7 +71,7 @@ def _say(lock: threading.Lock, text: str) -> None:
 
 
 def summary(outcomes: list[Outcome], seed: int, duration_s: float) -> dict[str, object]:
-    """What is printed at the end."""
+    """The report at the end."""
     counts: Counter[str] = Counter()
     for outcome in outcomes:
         counts += outcome.faults

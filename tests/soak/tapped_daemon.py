@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon, and beside it a thread that notes which counts the core is given.
+"""The daemon, and a thread in it that records which counts the core is given.
 
-The mailboxes of the exchange are peeked at, not taken from: the slot that their reader holds, as
-csrc/base/mailbox.h and csrc/loop/exchange.h lay it out. Whatever is read wrongly is no count of any
-drive, so a mistake here cannot hide one there. Each new one is a line in the file TAP_FILE:
+It reads the mailboxes of the exchange without taking from them: the slot that their reader holds,
+with the layout of csrc/base/mailbox.h and csrc/loop/exchange.h. A value that is read wrongly is no
+drive's count, so an error here cannot hide a wrong count. Each new count is a line in the file
+TAP_FILE:
 
     JOINT STAMP_NS COUNT EPOCH
 """
@@ -34,7 +35,7 @@ def box_bytes(value: str) -> int:
 
 
 class Peephole:
-    """The feedback of one joint, where it lies."""
+    """The feedback of one joint, in its mailbox."""
 
     def __init__(self, joint: int) -> None:
         before = ("lease_permissions", "command_report", "core_control")

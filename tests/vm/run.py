@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""make vm: builds the guest and the package, boots once, runs tests/vm/guest there, prints what
-they print; then tests/vm/pi on an emulated Raspberry Pi 3. With --smoke only the guest's tests that
-are marked so; with --build nothing is booted. Other arguments go to the guest's pytest, and the Pi
-is left out. Without root, Debian 12 on amd64 or QEMU's packages: one line that says why, and
-status 0.
+"""make vm: builds the guest and the package, boots once, runs tests/vm/guest there, prints their
+output; then tests/vm/pi on an emulated Raspberry Pi 3. With --smoke only the guest's tests marked
+smoke run; with --build nothing is booted. Other arguments go to the guest's pytest, and the Pi is
+left out. Without root, Debian 12 on amd64 or QEMU's packages: the reason in one line, and status 0.
 
 Emulated, not virtualised: time in the guest means nothing, what the kernel does is real. How long
 the tests may take follows from how long the guest takes to boot and to install the package, which
@@ -31,7 +30,7 @@ BUILD = ROOT / "build" / "vm"
 BUILD_PI = ROOT / "build" / "pi"
 SET_UP_WITHIN_S = 900.0
 TESTS_WITHIN_S = 2400.0
-"""At least; an idle machine of two cores needs less."""
+"""A lower bound; an idle machine of two cores needs less."""
 TESTS_PER_SET_UP = 40.0
 """How many times as long as its set-up a guest's tests may take."""
 ADAPTER_SERIAL = "A10K3XYZ"
@@ -44,11 +43,11 @@ SHARED = (
     "can_rig.py",
     "test_can_line.py", "test_can_bus.py", "test_can_halt.py", "test_cia402.py", "test_moteus.py",
 )  # fmt: skip
-"""Of the contract suite: on real buses here."""
+"""Files of the contract suite, run on real buses here."""
 
 
 def why_not() -> str:
-    """Why the guest cannot be made here; empty: it can."""
+    """Why the guest cannot be made here; empty if it can."""
     if os.geteuid() != 0:
         return "needs root, to make a file system of Debian packages"
     release = Path("/etc/os-release")
@@ -64,7 +63,7 @@ def why_not() -> str:
 
 
 def make_disk(package: Path, arguments: list[str], folder: Path) -> Path:
-    """What the guest is to test, as a disk."""
+    """The files that the guest tests, as a disk."""
     content, disk = folder / "content", folder / "project.ext4"
     shutil.copytree(HERE / "guest", content / "tests/vm/guest",
                     ignore=shutil.ignore_patterns("__pycache__"))  # fmt: skip
@@ -93,8 +92,8 @@ def free_ports() -> tuple[int, int]:
 
 
 def cable_end(name: str, port: int, far_port: int) -> str:
-    """Datagrams: like a cable they lose what is not read. A stream would get full, and QEMU
-    waits for room in it with the lock that its reader needs."""
+    """Datagrams: like a cable they lose what is not read. A stream would get full, and then QEMU
+    waits while it holds the lock that its reader needs."""
     return f"udp,id={name},host=127.0.0.1,port={far_port},localaddr=127.0.0.1,localport={port}"
 
 
@@ -140,7 +139,7 @@ def raspberry_pi() -> list[str]:
 
 
 class Limit:
-    """Ends a machine whose time is over."""
+    """Ends a machine after its time."""
 
     def __init__(self, machine: subprocess.Popen[bytes]) -> None:
         self._machine = machine
@@ -153,7 +152,7 @@ class Limit:
         self._timer.start()
 
     def set_up(self) -> str:
-        """The machine has shown how fast it is."""
+        """Sets the limit by the time that the set-up took."""
         self._timer.cancel()
         took_s = time.monotonic() - self._began_s
         within_s = max(TESTS_WITHIN_S, TESTS_PER_SET_UP * took_s)
@@ -193,7 +192,7 @@ def build_pi() -> None:
 
 
 def on_the_pi(shown: list[str]) -> int:
-    """Its tests, what they say kept for later: beside the other guest, which uses one CPU."""
+    """Runs its tests beside the other guest, which uses one CPU; keeps their output for later."""
     build_pi()
     return boot(raspberry_pi(), shown.append, ends_itself=False)
 

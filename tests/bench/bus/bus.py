@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the second process costs, in one run: messages, memory, CPU, the way of a command, and what
-comes of readers that stop reading and of its own faults."""
+"""The cost of motord-bus, in one run: messages, memory, CPU, the delay of a command, and the
+effects of stuck readers and of its own faults."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CDR_US, JSON_US = 0.5, 2.0
 OFTEN = ("odom", "tf", "joint_states", "motor_status")
 DAEMON_MB, BUS_MB, START_S = 40.0, 45.0, 1.0
 LATER = 1.2
-"""Of the lateness without: a disturbance costs nothing measurable."""
+"""Ratio to the undisturbed lateness below which a disturbance has no measurable cost."""
 Verdicts = list[tuple[str, bool, bool]]
 
 
@@ -38,7 +38,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def smoke() -> dict[str, Any]:
-    """Each kind of measuring once, as briefly as it goes."""
+    """Runs each measurement once, as briefly as possible."""
     bus_at_work.SETTLE_S = 0.3
     run = subprocess.run(
         [sys.executable, HERE / "bus_encode.py", "1"], capture_output=True, text=True, check=True

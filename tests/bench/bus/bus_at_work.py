@@ -33,14 +33,14 @@ def free_port() -> int:
 
 
 def memory_mb(pid: int) -> dict[str, float]:
-    """Resident, and with shared pages counted once for all who share them."""
+    """Resident memory, and the same with shared pages divided among their users."""
     rows = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines()
     found = {row.split()[0]: int(row.split()[1]) / 1024 for row in rows if row.endswith("kB")}
     return {"rss": found["Rss:"], "pss": found["Pss:"]}
 
 
 def cpu_s(pid: int) -> float:
-    """Of all its threads, by the scheduler's own account: clock ticks are too coarse."""
+    """CPU time of all its threads, by the scheduler's figures: clock ticks are too coarse."""
     rows = [
         task.read_text(encoding="ascii") for task in Path(f"/proc/{pid}/task").glob("*/schedstat")
     ]
@@ -65,7 +65,7 @@ def stage(*settings: str, **more: Any) -> Iterator[Any]:
 
 
 def bus_pid(made: Any) -> int:
-    """Of the second process, once it has reported for the first time."""
+    """The process number of motord-bus, once it has reported for the first time."""
     return int(wait_until(
         lambda: (found := made.robot.status()["bus"]) and "publishers" in found and found,
         "motord-bus",
@@ -77,8 +77,8 @@ def ros2(rate_hz: float) -> tuple[str, ...]:
 
 
 def memory() -> dict[str, dict[str, float]]:
-    """Of the daemon of the demonstration robot, alone, and of both processes with ROS 2 on DDS;
-    of the first also the CPU from its start to `idle`."""
+    """Memory of the demonstration robot's daemon alone, and of both processes with ROS 2 on DDS;
+    also the CPU of the daemon from its start to `idle`."""
     with stage() as made:
         start_s = cpu_s(made.daemon.pid) + children_s(made.daemon.pid)  # one reads the robot file
         time.sleep(SETTLE_S)
@@ -92,7 +92,7 @@ def memory() -> dict[str, dict[str, float]]:
 
 # --------------------------------------------------------------------------------------------- CPU
 def kinds(folder: Path, broker_port: int | None) -> dict[str, tuple[str, ...]]:
-    """Each publisher that can be had here, alone."""
+    """Each publisher that this machine has, alone."""
     found = {
         "prometheus, never asked": ("publish.b.kind=prometheus", f"publish.b.port={free_port()}"),
         "ros2": ("publish.b.kind=ros2", f"publish.b.domain_id={DOMAIN}"),
@@ -107,7 +107,7 @@ def kinds(folder: Path, broker_port: int | None) -> dict[str, tuple[str, ...]]:
 
 @contextlib.contextmanager
 def mosquitto(folder: Path) -> Iterator[int | None]:
-    """Its port; None where it is not installed."""
+    """A broker's port; None where mosquitto is not installed."""
     program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
     if program is None:
         yield None
@@ -126,8 +126,8 @@ def mosquitto(folder: Path) -> Iterator[int | None]:
 def cpu(
     seconds: float, rates_hz: tuple[int, ...] = (DEFAULT_HZ, FAST_HZ)
 ) -> dict[str, dict[str, float]]:
-    """Percent of one CPU that motord-bus takes with one publisher and its topics, at the rate that
-    it has by default and at 50 Hz. No client reads but the broker."""
+    """Percent of one CPU that motord-bus takes with one publisher and its topics, at its default
+    rate and at 50 Hz. No client reads but the broker."""
     found: dict[str, dict[str, float]] = {}
     with (
         tempfile.TemporaryDirectory() as made_folder,

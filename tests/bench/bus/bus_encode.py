@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a snapshot to bytes, topic by topic: CDR as ROS 2 reads it, JSON as MQTT and rosbridge carry
-it; beside the encoder of the Cyclone DDS binding and the standard library's json, in turns.
+"""From a snapshot to bytes, topic by topic: CDR for ROS 2, JSON for MQTT and rosbridge; compared in
+turns with the encoder of the Cyclone DDS binding and with the standard library's json.
 
 python bus_encode.py [ROUNDS]: one JSON object, µs a message, each the best of its rounds.
 """
@@ -44,7 +44,7 @@ def imu() -> ImuSnapshot:
 
 
 def moving() -> View:
-    """A base that moves: no number of it is round."""
+    """A moving base, without round numbers."""
     snapshot = Snapshot(
         stamp_ns=90_123_456_789, tick=90_123, machine_state=4, owner=1, reasons=("linear_jerk",),
         faults=(), armed=True, enabled=True, at_rest=False, odometry_degraded=False,
@@ -67,7 +67,7 @@ def moving() -> View:
 
 
 def cyclone(topic: str) -> Callable[[], Any]:
-    """The message, built and serialized as a program on the Cyclone DDS binding does it."""
+    """The message, built and serialized like in a program on the Cyclone DDS binding."""
     from motord.bus.messages.table import TYPES
     from motord.bus.ros2.dds.cyclone_types import cyclone_type
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the dashboard costs, in this run: python -m tests.bench.bus.dashboard [--heap-s 0].
+"""The cost of the dashboard, in this run: python -m tests.bench.bus.dashboard [--heap-s 0].
 
 Bytes of the page; the robot's side with one viewer against none; the loop's lateness with fifty
 viewers against none, in turns; and in Chromium, where there is one, the first paint with a
-processor six times slower, the time from each end of the dead-man to a requested speed of zero,
+processor six times slower, the time from each end of a hold to a requested speed of zero,
 plots of eight joints, and the growth of the heap.
 """
 
@@ -46,7 +46,7 @@ async def viewer(port, until_s, counts):
 
 
 def watch(port, viewers, seconds):
-    """Frames that so many viewers have received."""
+    """The frames that this many viewers receive in this time."""
 
     async def run():
         counts = []
@@ -68,7 +68,7 @@ def cpu_s(pid):
 
 
 def cpu_share(stage, port, viewers, seconds):
-    """Of one core, of motord-bus and of the daemon."""
+    """Shares of one core that motord-bus and the daemon take."""
     pids = (stage.robot.status()["bus"]["pid"], stage.robot.status()["pid"])
     before = [cpu_s(pid) for pid in pids]
     began_s = time.monotonic()
@@ -99,7 +99,7 @@ def lateness_us(stage, port, viewers, seconds):
 
 def measure(seconds, rounds, times, heap_s, plots_s):
     """`seconds`: of each measurement on the robot's side; `rounds`: pairs of lateness; `times`: of
-    each end of the dead-man."""
+    each end of a hold."""
     port = free_port()
     settings = (
         "input.web.kind=web", f"input.web.port={port}", "input.web.trust_loopback=true",
@@ -112,7 +112,7 @@ def measure(seconds, rounds, times, heap_s, plots_s):
             stage.wait_for("idle")
             wait_until(lambda: listens(port), "the dashboard listens")
             wait_until(lambda: stage.robot.status()["bus"].get("pid"), "motord-bus")
-            time.sleep(min(3.0, seconds))  # what starts has started
+            time.sleep(min(3.0, seconds))  # every process has started
             none, one = (cpu_share(stage, port, count, seconds) for count in (0, 1))
             pairs = [
                 (lateness_us(stage, port, 0, seconds), lateness_us(stage, port, VIEWERS, seconds))
@@ -159,10 +159,10 @@ def table(found):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=15.0, help="of each measurement")
-    parser.add_argument("--rounds", type=int, default=3, help="pairs of lateness")
+    parser.add_argument("--seconds", type=float, default=15.0, help="duration of a measurement")
+    parser.add_argument("--rounds", type=int, default=3, help="pairs of lateness measurements")
     parser.add_argument("--times", type=int, default=100, help="releases of the pad")
-    parser.add_argument("--plots-s", type=float, default=60.0, help="of plots")
+    parser.add_argument("--plots-s", type=float, default=60.0, help="duration of the plots")
     parser.add_argument("--heap-s", type=float, default=3600.0, help="0: the heap is not measured")
     options = vars(parser.parse_args())
     print(json.dumps(measure(**options), indent=2))

@@ -19,10 +19,10 @@ from motord.client import Refused
 
 SLOW_DOWN = 6
 HEAP_FILLS_S = 120.0
-"""After that the page's ring buffers are full, and its functions compiled."""
+"""After this time the page's ring buffers are full, and its functions compiled."""
 HEAP_LOOKS, HEAP_LOOK_EVERY_S = 10, 1.0
 LONG_MS = 50.0
-"""An animation frame that takes longer is one that a person sees (w3.org/TR/longtasks-1)."""
+"""A person notices an animation frame that takes longer (w3.org/TR/longtasks-1)."""
 STATE = 1
 WHEELS = 8
 
@@ -68,8 +68,8 @@ def cut(_, link):
 
 
 def until_zero_ms(browser, stage, port, times, ending):
-    """From an ending of the dead-man to the first requested speed of zero on the state page. The
-    ramp that follows is the robot's limits."""
+    """From the end of a hold to the first requested speed of zero on the state page. The ramp that
+    follows depends on the robot's limits."""
     found = []
     with StatePage.open(stage.robot.status()["robot"]) as state, LinkProxy(port) as link:
         page = browser.new_page()
@@ -77,7 +77,7 @@ def until_zero_ms(browser, stage, port, times, ending):
         page.wait_for_selector(".pad")
         while len(found) < times:
             page.wait_for_selector(".chip.connected")
-            with contextlib.suppress(Refused):  # a busy machine: again
+            with contextlib.suppress(Refused):  # retried on a busy machine
                 if stage.state() in ("fault", "estop"):
                     stage.robot.reset()
                 if stage.state() == "idle":
@@ -103,10 +103,11 @@ def until_zero_ms(browser, stage, port, times, ending):
 
 
 def heap_bytes(browser, port, seconds):
-    """JavaScript's heap on the page of plots: when its buffers are full, and so long after that.
+    """JavaScript's heap on the page of plots: when its buffers are full, and at the end of this
+    time.
 
-    Each is the least of several looks, each after a collection: what is being drawn or has just
-    arrived is alive at one look or another, and what has leaked at all of them."""
+    Each is the least of several samples, each after a collection: what is being drawn or has just
+    arrived is alive in some samples, and what has leaked is alive in all."""
     page = browser.new_page()
     page.goto(f"http://127.0.0.1:{port}/#plots")
     session = page.context.new_cdp_session(page)
@@ -128,7 +129,7 @@ def heap_bytes(browser, port, seconds):
 
 
 def eight_wheels():
-    """A robot file: an omni base with as many joints as there may be, on two lines."""
+    """A robot file: an omni base with the largest number of joints, on two lines."""
     text = """[robot]
 name = "eight"
 [base]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What loop and lines feel when readers of motord-bus, or itself, are stopped, killed or leak: one
-daemon, windows by turns, calm and disturbed; ratios are medians of the pairs.
+"""The effect on loop and lines when motord-bus or its readers are stopped, killed or leak: one
+daemon, alternating calm and disturbed windows; ratios are medians of the pairs.
 
 python -m tests.bench.bus.disturbed: one JSON object.
 """
@@ -35,7 +35,7 @@ from websockets.sync.client import connect
 
 def read():
     wire = socket.socket()
-    wire.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)  # it is full soon
+    wire.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65536)  # soon full
     wire.connect(("127.0.0.1", int(sys.argv[1])))
     with connect("ws://localhost/", sock=wire, max_size=None, ping_interval=None) as bus:
         for topic in ("odom", "tf", "joint_states", "motor_status"):
@@ -44,7 +44,7 @@ def read():
         for _ in bus:
             pass
 
-while True:  # who is stopped for too long is left, and comes back
+while True:  # a reader that was stopped for too long is disconnected, and reconnects
     with contextlib.suppress(ConnectionClosed, TimeoutError):
         read()
 """
@@ -65,7 +65,7 @@ def counted(status: dict[str, Any]) -> Figures:
 
 
 def window(made: Any, seconds: float) -> Figures:
-    """Of all ticks in it: lateness, what was counted, and exchanges by ticks."""
+    """Lateness of all ticks in the window, the counts, and exchanges by ticks."""
 
     def look() -> tuple[dict[tuple[int, int], int], Figures]:
         bars = made.robot.latency()["buckets"]["lateness"]
@@ -85,8 +85,8 @@ def window(made: Any, seconds: float) -> Figures:
 
 
 def pairs(made: Any, disturbance: Disturbance, count: int, seconds: float) -> dict[str, Any]:
-    """Calm and disturbed by turns. Counts are sums, figures medians; `ratio` is disturbed by calm,
-    the median of the pairs' ratios."""
+    """Alternates calm and disturbed windows. Counts are sums, figures medians; `ratio` is disturbed
+    by calm, the median of the pairs' ratios."""
     rows: list[tuple[Figures, Figures]] = []
     for _ in range(count):
         calm = window(made, seconds)
@@ -111,7 +111,7 @@ COUNTS = ("ticks", "overruns", "page_faults", "exchanges", "errors")
 # ---------------------------------------------------------------------------------- a stuck reader
 @contextlib.contextmanager
 def reader(*command: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Once it reads; what it prints is read."""
+    """A reader that has begun to read; its output is read."""
     process = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, cwd=ROOT)
     assert process.stdout is not None
     try:
@@ -128,7 +128,7 @@ def reader(*command: str) -> Iterator[subprocess.Popen[bytes]]:
 
 @contextlib.contextmanager
 def stopped(*pids: int) -> Iterator[None]:
-    """As long as it lasts."""
+    """Stops these processes while it is entered."""
     for pid in pids:
         os.kill(pid, signal.SIGSTOP)
     try:
@@ -159,14 +159,14 @@ def readers(count: int, seconds: float) -> dict[str, Any]:
 
 # ------------------------------------------------------------------------------- motord-bus itself
 class Struck:
-    """motord-bus, to which something happens at the beginning of a window."""
+    """motord-bus, which is hit at the beginning of a window."""
 
     def __init__(self, made: Any, planted: Planted, what: str) -> None:
         self._made, self._planted, self._what = made, planted, what
 
     @contextlib.contextmanager
     def __call__(self) -> Iterator[None]:
-        """There is another process when the next window begins."""
+        """Waits until another process runs, for the next window."""
         pid = bus_at_work.bus_pid(self._made)
         if self._what.startswith("SIG"):
             os.kill(pid, signal.Signals[self._what])
@@ -180,7 +180,7 @@ class Struck:
 
 
 def struck(what: str, count: int, seconds: float) -> dict[str, Any]:
-    """The second process publishes; it is killed, stopped, or ruins itself."""
+    """motord-bus publishes; it is killed, stopped, or leaks or loops by itself."""
     with tempfile.TemporaryDirectory() as folder:
         planted = Planted(Path(folder))
         settings = (*bus_at_work.ros2(bus_at_work.FAST_HZ), *planted.settings)
@@ -195,7 +195,7 @@ STRIKES = ("SIGKILL", "SIGSTOP", "segfault", "leak")
 
 
 def measure(reader_pairs: int, strike_pairs: int, seconds: float) -> dict[str, Any]:
-    """By what is disturbed."""
+    """The figures of each disturbance."""
     found = {"readers stopped": readers(reader_pairs, seconds)}
     return found | {f"motord-bus: {what}": struck(what, strike_pairs, seconds) for what in STRIKES}
 

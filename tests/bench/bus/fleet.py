@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a fleet costs one robot of it. One robot is whole: a daemon, and motord-bus in a network
-namespace. The others' publishers are in four processes in another namespace, with the router or
-broker; a cable between the two is what the one robot sees of the network. Needs root.
+"""The cost of a fleet for one of its robots. One robot is complete: a daemon, and motord-bus in a
+network namespace. The others' publishers are in four processes in another namespace, with the
+router or broker; a cable between the two namespaces is the robot's network. Needs root.
 
 python -m tests.bench.bus.fleet [OTHERS [KIND...]]
 """
@@ -36,7 +36,7 @@ with zenoh.open(zenoh.Config.from_json5(settings % sys.argv[1])):
 
 
 def settings(kind: str) -> list[str]:
-    """Of each robot, {n} is its number: topics and rates as they are by default."""
+    """Settings of each robot, with its number for {n}; topics and rates are the defaults."""
     if kind == "mqtt":
         return [
             "publish.b.kind=mqtt",
@@ -70,7 +70,7 @@ def started(*command: str, ready: bool = True) -> Iterator[subprocess.Popen[str]
 
 @contextlib.contextmanager
 def middle(kind: str, wire: Cable, folder: Path) -> Iterator[int | None]:
-    """The process in the middle, where there is one."""
+    """The broker or router, if this kind has one."""
     there = inside(wire.there)
     if kind == "mqtt":
         config = folder / "mosquitto.conf"
@@ -86,7 +86,7 @@ def middle(kind: str, wire: Cable, folder: Path) -> Iterator[int | None]:
 
 
 def bytes_on(wire: Cable) -> tuple[int, int]:
-    """Received and sent by the one robot."""
+    """Bytes that the one robot has received and sent."""
     run = subprocess.run(
         ["ip", "-n", wire.here, "-j", "-s", "link", "show", "cable"],
         check=True, capture_output=True, text=True,
@@ -145,7 +145,7 @@ def one(kind: str, others: int) -> dict[str, float]:
 
 
 def measure(others: int, kinds: tuple[str, ...]) -> dict[str, list[dict[str, float]]]:
-    """Alone and among the others."""
+    """The one robot's figures, alone and among the others."""
     return {kind: [one(kind, number) for number in (0, others)] for kind in kinds}
 
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many robots' second processes in one: each has its own robot file, runtime and adapters, as
-motord-bus has them; only the snapshots are made here and not read from a daemon's page.
+"""Many robots' motord-bus in one process: each has its own robot file, runtime and adapters. Only
+the snapshots are made here, instead of being read from a daemon's page.
 
 python -m tests.bench.bus.fleet_robots FIRST COUNT SETTING...
 In a setting, {n} is the robot's number.
@@ -31,7 +31,7 @@ def runtime(number: int, settings: list[str]) -> Runtime:
 
 
 async def drive(stations: list[Runtime]) -> None:
-    """A snapshot of now for each, until cancelled."""
+    """Gives each a current snapshot, until cancelled."""
     snapshot = moving().snapshot
     while True:
         now_ns = time.monotonic_ns()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a cmd_vel on DDS to its first byte on the wire: a writer of another make (the Cyclone DDS
-binding, TwistStamped), motord-bus, the real daemon, its real-time line, and a slave that says when
-the bytes came. Idle, and with busy Python threads in motord-bus and in the daemon; datagram.py
-measures the part of it that begins at the daemon.
+"""From a cmd_vel on DDS to its first byte on the wire: a writer on the Cyclone DDS binding
+(TwistStamped), motord-bus, the real daemon, its real-time line, and a slave that reports when the
+bytes came. Idle, and with busy Python threads in motord-bus and in the daemon; datagram.py measures
+the part from the daemon on.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ Found = dict[str, dict[str, float]]
 
 @contextlib.contextmanager
 def writer() -> Iterator[Any]:
-    """Writes one TwistStamped, stamped now, each time it is called; it has been encoded when the
-    clock is read: what a writer in Python takes for that is not measured."""
+    """Writes one TwistStamped, stamped now, at each call. It is encoded before the clock is read:
+    the time of a Python encoder is not measured."""
     from cyclonedds._clayer import ddspy_write
     from cyclonedds.domain import Domain, DomainParticipant
     from cyclonedds.pub import DataWriter
@@ -61,7 +61,7 @@ def writer() -> Iterator[Any]:
     entity = DataWriter(participant, Topic(participant, "rt/cmd_vel", TwistStamped), qos=reliable)
 
     def write(linear_m_s: float) -> int:
-        """When it was written; 0: no client reads it."""
+        """The time of the write; 0: no client reads it."""
         sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
         twist = Twist(Vector3(linear_m_s, 0.0, 0.0), Vector3(0.0, 0.0, 0.0))
         raw = TwistStamped(Header(Time(sec, nanosec), ""), twist).serialize(use_version_2=False)
@@ -77,7 +77,7 @@ def writer() -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _hogs_of_bus(count: int) -> Iterator[None]:
-    """motord-bus that is started meanwhile can have so many."""
+    """A motord-bus started in this block gets this many busy threads."""
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = os.pathsep.join([str(HOGGED), *([before] if before else [])])
     try:
@@ -90,8 +90,9 @@ def _hogs_of_bus(count: int) -> Iterator[None]:
 
 
 def _pty_like_a_uart() -> None:
-    """A kernel worker of ordinary priority hands on what is written to a pty; a UART has none. As
-    root it goes before the busy threads; else what is found has its delay, up to 4 ms, in it."""
+    """A kernel worker of ordinary priority passes on what is written to a pty; a UART has none.
+    Root can give it priority over the busy threads; otherwise its delay, up to 4 ms, is in the
+    figures."""
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
             if (process / "comm").read_text(encoding="ascii").startswith("kworker/u"):
@@ -99,8 +100,8 @@ def _pty_like_a_uart() -> None:
 
 
 def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[float], int]:
-    """Of each command, as datagram.delays_us, and how many the daemon did not accept. A fault
-    ends it. The daemon's hogs have its CPU; motord-bus keeps the others."""
+    """The delay of each command, as datagram.delays_us, and the number that the daemon did not
+    accept. A fault ends it. The daemon and its hogs have one CPU, motord-bus the others."""
     chance, found = random.Random(seed), []
     with (
         tempfile.TemporaryDirectory() as made,
@@ -129,7 +130,7 @@ def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[flo
             time.sleep(chance.uniform(*PAUSE_S))
             came_ns = judge.ask("changed")["changed_ns"]
             if robot.status()["state"] == "fault":
-                break  # what is on the wire from now on is no answer to a command
+                break  # later bytes on the wire do not belong to a command
             found.append((given_ns, came_ns))
         lost = begun + written - robot.status()["commands"]["accepted"]
     return [(came - given) / 1e6 for given, came in found if came > given > 0], lost

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a command's datagram to its first byte on the wire, with and without busy Python in the
-daemon: the real daemon, its real-time line, and a slave that says when the bytes came."""
+daemon: the real daemon, its real-time line, and a slave that reports when the bytes came."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from motord.api.commands import datagram
 from motord.client import Client, ClientError
 
 PAUSE_S = (0.11, 0.14)
-"""Longer than a cycle of the line, so that it is idle: the way is measured, not the queue."""
+"""Longer than a cycle of the line, so that it is idle: the path is measured, not the queue."""
 WITHIN_S = 30.0
 HOGGED = Path(__file__).with_name("hogged.py")
 PROFILE = ROOT / "tests/bench/fieldbus/bench-drive.toml"
@@ -46,7 +46,7 @@ command_timeout_s = 2.0
 feedback_timeout_s = 2.0
 heartbeat_timeout_s = 5.0
 
-[safety.feedback]  # the slave is no wheel: its position stands still
+[safety.feedback]  # the slave is not a wheel: its position does not change
 direction_s = 0.0
 stall_s = 0.0
 following_s = 0.0
@@ -89,7 +89,7 @@ lease_s = 2.0
 def daemon(
     folder: Path, port: str, hogs: int, more: str = "", *, begin: bool = True
 ) -> Iterator[Client]:
-    """The daemon, armed; `more`: further sections of its robot file; `begin`: its hogs do."""
+    """The daemon, armed; `more`: further sections of its robot file; `begin`: starts its hogs."""
     robot = folder / "robot.toml"
     name = f"bench{uuid.uuid4().hex[:8]}"
     text = ROBOT.format(name=name, port=port, profile=PROFILE) + more
@@ -130,7 +130,7 @@ def _connected(path: Path) -> Client:
 
 
 def delays_us(hogs: int, count: int, seed: int = 7) -> list[float]:
-    """So many commands, each another speed than the one before, at odd times."""
+    """The delays of `count` commands at irregular times, each with another speed than the last."""
     chance = random.Random(seed)
     found = []
     with (

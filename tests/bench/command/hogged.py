@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord with pure-Python threads beside it in its process, which want the GIL all the time: as
-many as HOGS says, from SIGUSR1 on. All of it shares one CPU: a pty hands bytes on by a kernel
-worker of ordinary priority, and a bench that lets the hogs keep that worker waiting measures it."""
+"""motord with HOGS pure-Python threads in its process, which compete for the GIL all the time from
+SIGUSR1 on. The process runs on one CPU: hogs on every CPU would delay the kernel worker of ordinary
+priority that passes on the bytes of a pty."""
 
 import os
 import signal

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a board on a stream costs, and how long it waits, with and without a thread that always
-wants the GIL. The board is the reference one, compiled for this machine.
+"""The cost of a board on a stream, and how long it waits, with and without a thread that always
+competes for the GIL. The board is the reference one, compiled for this machine.
 
     python tests/bench/fieldbus/board_stream.py PORT SECONDS idle|hog   (what `measure` starts)
 """
@@ -64,7 +64,7 @@ async def drive(port: str, seconds: float) -> dict[str, float]:
 
 
 def measure(seconds: float) -> Found:
-    """Company → figures. CPU is that of the whole process: with a hog it says
+    """Figures, idle and with a hog. CPU is that of the whole process: with a hog it means
     nothing."""
     found: Found = {}
     with tempfile.TemporaryDirectory() as name:

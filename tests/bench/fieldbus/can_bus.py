@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """CPU per CAN frame, sent or received: the rt line beside python-can, on the same kind of socket.
 
-There is no CAN in every kernel, so a SOCK_SEQPACKET socket stands for the bus: system calls and
-frames are SocketCAN's, its driver is not. Four drives speak 500 times a second each, and are sent
-as often: what each says is decoded, its speed (zero: none is armed) is sent. Each side is a whole
-process; the drives count the frames, the same way for all.
+Not every kernel has CAN, so a SOCK_SEQPACKET socket stands for the bus: system calls and frames are
+SocketCAN's, its driver is not. Each of four drives sends 500 frames a second and receives as many:
+each side decodes them, and sends a speed (zero: no drive is armed). Each side is a whole process;
+the drives count the frames alike for all.
 
 rt          motord's line in C
 asyncio     the same line on python-can: the same profile, watching and stops
-python-can  what a program on it looks like: its SocketCAN bus (all but the opening of the socket),
+python-can  a typical program on python-can: its SocketCAN bus (all but the opening of the socket),
             a Notifier in asyncio's event loop with one listener, a task that sends
-script      the least that can be done with it: packing and messages are python-can's, the bus is
-            not; all that has come is read once a cycle
+script      the smallest program: packing and messages are python-can's, the bus is not; frames
+            are read once a cycle
 
-The last two neither watch nor stop anything.
+The last two have no watchdog and no stop.
 
 python can_bus.py (drives|rt|asyncio|python-can|script) PATH SECONDS
 """
@@ -53,7 +53,7 @@ def cpu_ns() -> int:
 
 
 class Frames:
-    """How many have been on the bus, sent and received: of the drives, for who measures."""
+    """The frames sent and received on the bus, shared with the measuring process."""
 
     def __init__(self, path: str) -> None:
         file = Path(f"{path}.frames")
@@ -70,7 +70,7 @@ class Frames:
 
 
 class Meter:
-    """CPU of this process and frames on the bus, from the making to `found`."""
+    """CPU of this process and frames on the bus, from the creation of this object to `found`."""
 
     def __init__(self, path: str) -> None:
         self._frames = Frames(path)
@@ -82,7 +82,7 @@ class Meter:
 
 # ---------------------------------------------------------------------------------- the other end
 def drives(path: str, seconds: float) -> None:
-    """Until its time is over, or the line closes the bus."""
+    """Runs the drives for this time, or until the line closes the bus."""
     frames = Frames(path)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as door:
         door.bind(path)
@@ -115,7 +115,7 @@ def speak(end: socket.socket, until_s: float, frames: Frames) -> None:
 
 # --------------------------------------------------------------------------------------- the sides
 async def with_line(engine: str, path: str, seconds: float) -> dict[str, int]:
-    """motord's, set up and at rest."""
+    """motord's line, set up and at rest."""
     from motord.config.drives.load import find_profile
     from motord_hal.fieldbus.open_line import open_line
     from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
@@ -160,13 +160,13 @@ def python_can_bus(path: str) -> Any:
             can.BusABC.__init__(self, path)
 
         def _apply_filters(self, filters: object) -> None:
-            self._is_filtered = True  # on a real bus the kernel does it
+            self._is_filtered = True  # on a real bus the kernel does this
 
     return BusOnPath()
 
 
 async def with_python_can(path: str, seconds: float) -> dict[str, int]:
-    """A Notifier in the event loop, a listener that reads what drives say, a task that sends."""
+    """A Notifier in the event loop, a listener that reads the drives' frames, a task that sends."""
     import can
 
     bus = python_can_bus(path)
@@ -209,7 +209,7 @@ async def with_python_can(path: str, seconds: float) -> dict[str, int]:
 
 
 def with_a_script(path: str, seconds: float) -> dict[str, int]:
-    """The least that can be done with python-can: its packing and its messages, no bus."""
+    """The smallest script on python-can: its packing and its messages, no bus."""
     import can
     from can.interfaces.socketcan.socketcan import build_can_frame, capture_message
 
@@ -263,7 +263,7 @@ def once(side: str, seconds: float) -> float:
 
 
 def measure(rounds: int, seconds: float) -> dict[str, list[float]]:
-    """By turns, so that a busy minute hurts all."""
+    """The sides take turns, so that a busy minute affects all."""
     found: dict[str, list[float]] = {side: [] for side in SIDES}
     for _ in range(rounds):
         for side, values in found.items():
@@ -284,12 +284,10 @@ def verdicts(found: dict[str, list[float]]) -> list[tuple[str, bool, bool]]:
     middle = {side: statistics.median(values) for side, values in found.items()}
     whole, program, least = (middle["rt"] / middle[side] for side in SIDES[1:])
     goal = f"goal: at most {GOAL}"
-    same = (
-        f"a CAN frame costs {whole:.3f} of the CPU of the asyncio engine's on python-can ({goal})"
-    )
+    same = f"a CAN frame costs {whole:.3f} of the asyncio engine's CPU on python-can ({goal})"
     other = (
-        f"a CAN frame costs {program:.3f} of the CPU of a program's on python-can that watches and"
-        f" stops nothing ({goal}), {least:.3f} of the least script's"
+        f"a CAN frame costs {program:.3f} of the CPU of a program on python-can without"
+        f" watchdog and stop ({goal}), {least:.3f} of the least script's"
     )
     return [(same, whole <= GOAL, False), (other, program <= GOAL, False)]
 

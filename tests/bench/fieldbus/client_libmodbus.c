@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * client_libmodbus.c: libmodbus reading four registers as fast as it will; one line of JSON at the
+ * client_libmodbus.c: libmodbus reads four registers as fast as it can; one line of JSON at the
  * end.
  *     client_libmodbus PORT SECONDS */
 #include <modbus.h>

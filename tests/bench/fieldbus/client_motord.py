@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord's real-time line against the bench's slave: prints one line of JSON when it is to end.
+"""motord's real-time line against the bench's slave: prints one line of JSON at its end.
 
 python client_motord.py PORT DRIVES GAP(spec|3.5char) FUNCTION(16|23) HOGS
 """
@@ -24,7 +24,7 @@ HERE = Path(__file__).parent
 
 
 def spec_of(port: str, drives: int, gap: str, function: int) -> LineSpec:
-    """One drive has both its channels in use, several have one each."""
+    """A single drive uses both its channels, several drives use one each."""
     profile = load_profile(HERE / "bench-drive.toml")
     if function == 23:
         profile = dataclasses.replace(profile, read_write_function=23)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A master of bus servos, as fast as it will: prints "ready", and goes on until stdin ends.
+"""A master of bus servos, as fast as it can: prints "ready", and goes on until stdin ends.
 
 python client_servos.py motord|sdk feetech|dynamixel PORT BAUDRATE SERVOS HOGS
 """
@@ -21,7 +21,7 @@ from motord_hal.realtime.exchange import Exchange, JointSetpoint, Setpoints
 PROFILES = {"feetech": "sts3215", "dynamixel": "xl430"}
 AS_FAST_AS_IT_WILL_HZ = 20_000.0
 KEPT_S = 90.0
-"""The set-points are put once."""
+"""The set-points are written once."""
 
 
 def hog() -> None:

@@ -1,17 +1,16 @@
 /* SPDX-License-Identifier: Apache-2.0
- * rtu_slave.c: Modbus RTU drives on a pty that take the time a wire takes, and judge who talks to
- * them.
+ * rtu_slave.c: Modbus RTU drives on a pty that take the time of a real wire, and judge their
+ * master.
  *
  * A pty carries a frame in no time. Here a request has arrived when its bytes would have passed the
- * wire; the reply begins after the silence by which a drive knows that a frame has ended, and is
- * handed over when its last byte would have come. So one exchange takes (request + reply)
- * characters and two silences: that is the wire's limit, and what a client adds is its own. A
- * request that comes before the second silence is over is a violation (5 % are forgiven: clocks
- * round).
+ * wire; the reply begins after the silence that marks the end of a frame, and is handed over when
+ * its last byte would have come. So one exchange takes (request + reply) characters and two
+ * silences: that is the wire's limit, and what a client adds is its own. A request that comes
+ * before the second silence is over is a violation (5 % are forgiven: clocks round).
  *
  *     rtu_slave BAUDRATE GAP_US [PRIORITY]     prints the pty's name; then, for a line on stdin, a
- *     line of JSON: "stats" the counters, which begin anew; "changed" when the first one came since
- *     that changed a register
+ *     line of JSON: "stats" the counters, which restart at zero; "changed" the time of the first
+ *     request since then that changed a register
  */
 #include <errno.h>
 #include <fcntl.h>
@@ -31,14 +30,14 @@
 enum { FRAME_MAX = 256, KEPT_MAX = 1 << 17, UNITS = 248 };
 
 static const int64_t NS_PER_S = 1000000000;
-static const int64_t LATE_NS = 2000000; /* a machine that has been away for a moment */
+static const int64_t LATE_NS = 2000000; /* this machine was held up for a moment */
 
 static int64_t character_ns, gap_ns, wire_free_ns, request_ns;
 static uint16_t registers[UNITS][0x10000];
 static float parts[KEPT_MAX]; /* the wire's limit over what an exchange took */
 static uint32_t kept;
 static uint64_t requests, bad_crc, violations, excused;
-static bool was_late;      /* our own reply was: who did not wait for it is excused */
+static bool was_late;      /* our own reply was: a client that did not wait is excused */
 static int64_t changed_ns; /* first byte of the first request that changed a register; 0: none */
 static int64_t limits_ns, first_ns, last_ns, last_limit_ns;
 
@@ -264,7 +263,7 @@ int main(int argc, char **argv)
         fprintf(stderr, "no SCHED_FIFO: %s\n", strerror(errno));
     }
     mlockall(MCL_CURRENT);
-    int32_t latency_us = 0; /* as motord's daemon holds it: for all who are measured here */
+    int32_t latency_us = 0; /* as motord's daemon sets it, here for all masters */
     int awake = open("/dev/cpu_dma_latency", O_WRONLY);
     if (awake < 0 || write(awake, &latency_us, sizeof latency_us) < 0) {
         fprintf(stderr, "the CPUs may sleep deeply: %s\n", strerror(errno));

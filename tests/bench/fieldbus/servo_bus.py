@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cycles of bus servos a second, as a part of what the wire carries: motord and the makers' SDKs,
-alone in their process and with a thread that wants the GIL, against the same servos
+"""Cycles of bus servos a second, relative to what the wire can carry: motord and the makers' SDKs,
+alone in their process and beside a thread that competes for the GIL, with the same servos
 (servo_slave.c)."""
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 BUSES = {"3 STS3215, 1 Mbaud": ("feetech", 1_000_000, 3),
          "6 Dynamixel, 4 Mbaud": ("dynamixel", 4_000_000, 6)}  # fmt: skip
 CYCLE_BYTES = {"feetech": (8 + 8, 3 + 1 + 21), "dynamixel": (14 + 14, 5 + 1 + 19)}
-"""Of a sync write of the velocities and a sync read with its replies: for all, and for each."""
+"""Bytes of a sync write of velocities and a sync read with replies: for all, and for each."""
 MASTERS = {"motord": ("motord", 0), "motord, GIL hog": ("motord", 1),
            "makers' SDK": ("sdk", 0), "makers' SDK, GIL hog": ("sdk", 1)}  # fmt: skip
 

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * servo_slave.c: bus servos on a pty that take the time a wire takes, and answer at once: what a
- * cycle takes beyond the bytes is its master's. A request has arrived when its bytes would have
- * passed the wire, a reply is handed over when its last byte would have come.
+ * servo_slave.c: bus servos on a pty that take the time of a real wire, and answer at once: the
+ * rest of a cycle's time is its master's. A request has arrived when its bytes would have passed
+ * the wire, a reply is handed over when its last byte would have come.
  *
  *     servo_slave feetech|dynamixel BAUDRATE [PRIORITY]     prints the pty's name; then, for a line
  *     on stdin, a line of JSON: sync reads since the last one, the time since, and how much of it

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of the wire each master uses, and whether it keeps the silence: all of them against the
-same slave (rtu_slave.c), one after the other, round by round."""
+"""How much of the wire each master uses, and whether it keeps the silence: all masters with the
+same slave (rtu_slave.c), one after the other in each round."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def compiled(name: str, *flags: str) -> str | None:
 
 
 class Slave:
-    """rtu_slave at work."""
+    """A running rtu_slave."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         assert process.stdin is not None
@@ -67,8 +67,8 @@ class Slave:
         self.port = self._from.readline().strip()
 
     def ask(self, what: str) -> dict[str, Any]:
-        """What it says: its counters, which begin anew ("stats"), or when the first request came
-        that changed a register since it was last asked ("changed")."""
+        """Its answer to "stats": its counters, which restart at zero; to "changed": when the first
+        request since the last "changed" came that changed a register."""
         self._to.write(f"{what}\n")
         self._to.flush()
         return dict(json.loads(self._from.readline()))
@@ -76,7 +76,7 @@ class Slave:
 
 @contextlib.contextmanager
 def slave(gap_us: float) -> Iterator[Slave]:
-    """One that answers all units, as a wire of 115200 baud would let it."""
+    """A slave that answers for all units, with the timing of a wire of 115200 baud."""
     program = compiled("rtu_slave")
     assert program is not None, "rtu_slave.c does not compile"
     with subprocess.Popen(
@@ -92,7 +92,7 @@ def slave(gap_us: float) -> Iterator[Slave]:
 
 
 def arms() -> list[Arm]:
-    """Ours in all situations, the others as they are used."""
+    """Ours in all situations, the others in their usual one."""
     here = sys.executable
     ours = str(HERE / "client_motord.py")
     others = str(HERE / "client_rivals.py")
@@ -152,7 +152,7 @@ def _ask(client: subprocess.Popen[str]) -> dict[str, Any]:
 
 
 def measure(rounds: int, seconds: float, chosen: Sequence[Arm] | None = None) -> dict[str, Result]:
-    """Every arm in every round, so that a bad moment of the machine meets all of them."""
+    """Runs every arm in every round, so that a bad moment of the machine affects all of them."""
     chosen = arms() if chosen is None else chosen
     results = {arm.name: Result() for arm in chosen}
     for number in range(rounds):
@@ -176,7 +176,7 @@ def table(results: dict[str, Result]) -> str:
 
 
 def verdicts(results: dict[str, Result]) -> list[tuple[str, bool, bool]]:
-    """(sentence, reached, whether it is a matter of right and wrong rather than of speed)."""
+    """(sentence, reached, whether it is about correctness rather than speed)."""
     ours = {name: result for name, result in results.items() if name.startswith("motord")}
     spec = {name: found for name, found in ours.items() if "23" not in name}
     least = min(found.median("fraction_p50") for found in spec.values())
@@ -199,7 +199,7 @@ def verdicts(results: dict[str, Result]) -> list[tuple[str, bool, bool]]:
 
 
 def has_bench_tools() -> list[str]:
-    """What is missing for the whole comparison, as sentences."""
+    """What the whole comparison lacks on this machine, as sentences."""
     missing = []
     if shutil.which("gcc") is None:
         missing.append("gcc is missing: apt install gcc")

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * core_instructions.c: core_step() at 1 kHz, for an instruction counter to look at.
+ * core_instructions.c: core_step() at 1 kHz, for an instruction counter.
  *
  *     core_instructions moving|ramping|rest TICKS FEEDBACK_EVERY_TICKS [skid|omni|car|swerve
  *     JOINTS]
@@ -8,7 +8,7 @@
  * Without a base it is a four-wheel skid drive. A car has one or two steered wheels beside its
  * driven ones, a swerve base half of its joints.
  * Feedback of all wheels comes in every FEEDBACK_EVERY_TICKS-th tick. Moving: a new request every 2
- * s, so that ramps, easing, wheel saturation and curves all take their part. Ramping: every 50 ms,
+ * s, so that ramps, easing, wheel saturation and curves are all exercised. Ramping: every 50 ms,
  * so that no ramp ever ends. Rest: armed, a fresh command of zero.
  */
 #include "good_config.h"
@@ -88,7 +88,7 @@ static void turn_wheels(const core_config *config, const setpoints *out, core_in
     }
 }
 
-/* leg_ticks: how long a request lasts; 0: there is none */
+/* leg_ticks: how long a request lasts; 0: no request */
 static void command(core_input *input, long tick, long leg_ticks)
 {
     input->now_ns += TICK_NS;

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Counts the instructions of core_step() with valgrind's callgrind: a number that no load on the
-machine moves. Sources, flags and libraries are those of csrc/build_ffi.py.
+"""Counts the instructions of core_step() with valgrind's callgrind: a number that does not depend
+on the machine's load. Sources, flags and libraries are those of csrc/build_ffi.py.
 
     python tests/bench/loop/core_instructions.py [TICKS]
 
@@ -30,14 +30,14 @@ MOVING_MAX = 900.0
 FEEDBACK_MAX = 1800.0
 RATIO_MAX = 1.2
 GROWTH_MAX = 1.25
-"""Of a base with eight joints, a joint more costs so many times what it costs of one with few."""
+"""Up to eight joints, one more joint may cost this many times what it costs with few."""
 BASES = {
     "skid": (2, 4, 8),
     "omni": (3, 4, 8),
     "car": (2, 3, 4, 8),
     "swerve": (4, 8),
 }
-"""Which numbers of joints each can have of 2, 3, 4 and 8."""
+"""The numbers of joints, of 2, 3, 4 and 8, that each base can have."""
 NEEDS = "valgrind is missing: apt install valgrind"
 
 
@@ -59,7 +59,7 @@ def compile_to(program: Path) -> None:
 
 
 def count(program: Path, mode: str, feedback_every_ticks: int, ticks: int, *base: object) -> float:
-    """Mean instructions of a tick; `base`: kind and joints, none: four wheels."""
+    """Mean instructions of a tick; `base`: kind and joints; without it: four wheels."""
     with tempfile.NamedTemporaryFile(prefix="callgrind.") as out:
         done = subprocess.run(
             [
@@ -90,8 +90,8 @@ def of_bases(program: Path, ticks: int) -> dict[str, dict[int, tuple[float, floa
 
 
 def growth(found: dict[int, tuple[float, float]]) -> float:
-    """What a joint more costs between the two largest numbers of joints, as parts of what it costs
-    from the smallest on; 1: linear."""
+    """The cost of one more joint between the two largest numbers of joints, relative to its cost
+    from the smallest number on; 1: linear."""
     few, *between, many = sorted(found)
     middle = between[-1] if between else few
     late = (found[many][0] - found[middle][0]) / (many - middle)
@@ -122,7 +122,7 @@ def measure(ticks: int) -> dict[str, Any] | None:
 
 
 def verdicts(found: dict[str, Any]) -> list[tuple[str, bool, bool]]:
-    """As wire.verdicts; no load on the machine moves these figures."""
+    """As wire.verdicts; these figures do not depend on the machine's load."""
     rows = (
         ("moving", MOVING_MAX, "instructions of a moving tick"),
         ("moving_with_feedback", FEEDBACK_MAX, "with feedback of four wheels"),

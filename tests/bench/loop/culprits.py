@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does `motord latency --suspects` name who delays the loop: a SCHED_FIFO hog, a process that
-forks, a page-faulting thread, each on the loop's processor. And what the search costs the loop.
+"""Whether `motord latency --suspects` names the cause of a delay of the loop: a SCHED_FIFO hog, a
+process that forks, a page-faulting thread, each on the loop's processor. Also the search's cost for
+the loop.
 
 python culprits.py: one JSON object.
 """
@@ -17,11 +18,11 @@ from motord.tools.latency.measure import LatencyOptions, run_latency
 from motord.tools.latency.trials import search
 
 KINDS = {"fifo": "real-time thread", "fork": "fork", "faults": "page faults"}
-"""What each has to be named as."""
+"""The name that each has to get."""
 
 
 def measure(seconds: float, pairs: int) -> dict[str, Any]:
-    """By culprit; `cost`: of the tick's work, searched by not searched."""
+    """Figures by culprit; `cost`: ratio of the tick's work with the search to that without."""
     cpu = (max(os.sched_getaffinity(0)),)
     found: dict[str, Any] = {}
     for kind in CULPRITS:
@@ -42,7 +43,7 @@ def measure(seconds: float, pairs: int) -> dict[str, Any]:
 
 
 def cost(seconds: float, pairs: int) -> dict[str, float]:
-    """Medians of the tick's work, off and on by turns, ns, and their ratio."""
+    """Medians of the tick's work in ns, with the search off and on in turns, and their ratio."""
     found: dict[bool, list[float]] = {False: [], True: []}
     for _ in range(pairs):
         for searched, row in found.items():

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The loop's wake-up against cyclictest's: on the same CPU at the same time and the same priority,
-so that a stall of the machine meets both, with a pure-Python hog in the loop's process.
+so that a stall of the machine affects both, with a pure-Python hog in the loop's process.
 
 "in band": samples later than 1 ms are left out on both sides; on a virtual machine they are the
 host's.
@@ -30,7 +30,7 @@ Bars = list[tuple[float, int]]
 
 
 def percentile_ns(bars: Bars, fraction: float) -> float:
-    """The bar in which that part of all samples is reached."""
+    """The bar that contains this percentile of all samples."""
     wanted, seen = fraction * sum(n for _, n in bars), 0
     for value, samples in bars:
         seen += samples
@@ -67,7 +67,7 @@ def child(rate_hz: float, seconds: float) -> None:
         for _ in range(10):
             subprocess.run(["true"], check=True, timeout=60)
         seen = loop.status().ticks
-        while loop.status().ticks < seen + 600:  # it counts them in every 256th tick
+        while loop.status().ticks < seen + 600:  # the loop counts them in every 256th tick
             time.sleep(0.01)
         status = loop.status()
         report = {"bars": bars, "page_faults": status.page_faults, "policy": status.policy}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Positions of joints without a base over a bus, and what it publishes of them."""
+"""Joint positions commanded over a bus to a robot without a base, and what the bus publishes."""
 
 import asyncio
 import json
@@ -52,7 +52,7 @@ async def test_a_joint_state_moves_the_joints_to_its_positions(stage, port):
                     if (answer := json.loads(raw)).get("topic") == "/joint_states":
                         break
     shown = dict(zip(answer["msg"]["name"], answer["msg"]["position"], strict=True))
-    assert shown == pytest.approx(GOAL_RAD, abs=0.1)  # it may still be on its last stretch
+    assert shown == pytest.approx(GOAL_RAD, abs=0.1)  # it may still be moving
 
 
 async def test_a_twist_over_the_bus_moves_nothing_and_is_counted(stage, port):

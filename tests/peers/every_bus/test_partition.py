@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What motord-bus talks to is away for half a minute and comes back: an MQTT broker and a Zenoh
-router in a network namespace of their own. The cable is pulled with all alive, or both are
-killed."""
+"""An MQTT broker and a Zenoh router, in a network namespace of their own, are unreachable for half
+a minute: their cable is pulled while both run, or both are killed."""
 
 import contextlib
 import json
@@ -27,17 +26,17 @@ TOKEN = "a token of sixteen and more"
 LEASE_S = 1.0
 RATE_HZ = 20
 CUT_S = 30.0
-"""Longer than any of them believes that the other is still there: Zenoh 10 s, MQTT 7.5 s."""
+"""Longer than the time-out of each connection: Zenoh 10 s, MQTT 7.5 s."""
 MISSED_TICKS = 800
 CALM_SAMPLES = 3 * RATE_HZ
 PACE = 0.5
-"""Of the pace before, that of loop and lines without a network; a busy machine has its part."""
+"""Part of their pace that loop and lines keep without a network, on a busy machine."""
 QUEUED_S = 1.0
-"""Of samples that may reach the broker late: what had been sent when the cable was plugged."""
+"""Age up to which a sample may reach the broker: it was queued when the cable was plugged."""
 
 
 class Lines:
-    """What a program says, line by line."""
+    """The output of a program, line by line."""
 
     def __init__(self, command, **options):
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **options)
@@ -58,7 +57,7 @@ class Lines:
         self._thread.join()
         self.process.stdout.close()
         if self.process.stdin:
-            with contextlib.suppress(BrokenPipeError):  # a line that was not read any more
+            with contextlib.suppress(BrokenPipeError):  # a last line that was not read
                 self.process.stdin.close()
 
 
@@ -175,14 +174,14 @@ def lost(bus):
 
 
 def late_s(line):
-    """How old the sample of a line of odometry was when it came."""
+    """The age of an odometry sample at its arrival."""
     came_s, text = line
     sample = json.loads(text)["header"]["stamp"]
     return came_s - sample["sec"] - sample["nanosec"] * 1e-9
 
 
 class Pace:
-    """Of the loop's ticks and the lines' exchanges, since it was made."""
+    """Rates of the loop's ticks and of the lines' exchanges since this object was made."""
 
     def __init__(self, stage):
         self._stage = stage
@@ -205,7 +204,7 @@ class Pace:
 
 
 class Driving:
-    """Commands given on the other side by MQTT and by Zenoh, cable or not, as long as it lasts."""
+    """Sends commands by MQTT and by Zenoh from the other side of the cable while it is entered."""
 
     def __init__(self, network):
         self._other = network.router.process.stdin
@@ -220,7 +219,7 @@ class Driving:
                 while not self._end.wait(0.1):
                     self._say(writer.stdin)
             except BrokenPipeError:
-                pass  # they are killed, too
+                pass  # the broker may be killed
             finally:
                 writer.kill()
 
@@ -248,13 +247,13 @@ def set_off(stage, driving):
 
 
 def at_rest(stage):
-    """Where a busy machine was a fault to the drives, too."""
+    """Also true after a fault that a busy machine caused."""
     joints = stage.sim.truth().joints.values()
     return stage.state() != "moving" and all(abs(one.velocity_rad_s) < 0.05 for one in joints)
 
 
 def calm_per_s(stage, network, odometry):
-    """The pace while all is well: both of the other side receive of the robot."""
+    """The pace while broker and router both receive odometry."""
     pace, received, sent = Pace(stage), len(odometry.received), len(network.router.received)
     wait_until(lambda: len(odometry.received) > received + CALM_SAMPLES, "odometry by MQTT")
     wait_until(lambda: len(network.router.received) > sent + CALM_SAMPLES, "odometry by Zenoh")
@@ -271,10 +270,12 @@ def both_command(bus):
 
 def at_rest_and_free(stage):
     wait_until(lambda: at_rest(stage), f"rest: its lease has lapsed\n{stage.logged()}")
-    wait_until(lambda: not stage.robot.status()["leases"], "nobody in command")
+    wait_until(lambda: not stage.robot.status()["leases"], "no source in command")
 
 
-def test_half_a_minute_without_a_network_costs_samples_and_the_lease_and_heals(stage, network, bus):
+def test_half_a_minute_without_a_network_loses_samples_and_the_lease_then_recovers(
+    stage, network, bus
+):
     status = Lines(network.command("mosquitto_sub", "-t", "r2/status"))
     odometry = Lines(network.command("mosquitto_sub", "-t", "r2/odom"))
     router = network.router
@@ -310,9 +311,7 @@ def test_half_a_minute_without_a_network_costs_samples_and_the_lease_and_heals(s
     assert bus.process.poll() is None
 
 
-def test_a_broker_and_a_router_that_were_killed_and_started_again_are_found_again(
-    stage, network, bus
-):
+def test_a_restarted_broker_and_router_are_found_again(stage, network, bus):
     try:
         with Driving(network) as driving:
             set_off(stage, driving)

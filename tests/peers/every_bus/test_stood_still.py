@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process stands still while a program commands without a stamp, and goes on when
-none does any more: nothing that waited in a queue meanwhile moves the robot."""
+"""motord-bus stands still while a program sends commands without a stamp, and goes on after the
+program has ended: no command that was queued meanwhile moves the robot."""
 
 import contextlib
 import json
@@ -14,7 +14,7 @@ from tests.peers.ros2.ros2_stage import (
     LEASE_S,
     NAMESPACE,
     inputs,
-    nobody_commands,
+    no_source_commands,
     peer,
     ros2_stage,
 )
@@ -68,7 +68,7 @@ def by_rosbridge(port):
 
 
 def arms(stage):
-    """Whatever was before: a busy machine may have latched a fault."""
+    """Resets first: a busy machine may have latched a fault."""
     becomes_idle(stage)
     wait_until(lambda: stage.robot.arm(), "armed")
 
@@ -78,36 +78,36 @@ def refused(stage, name):
 
 
 @pytest.mark.parametrize(("name", "by"), [("ros2", by_dds), ("web", by_rosbridge)])
-def test_what_waited_while_it_stood_still_moves_nothing(stage, port, name, by):
+def test_commands_queued_while_motord_bus_stood_still_move_nothing(stage, port, name, by):
     arms(stage)
     pid, before = stage.robot.status()["bus"]["pid"], refused(stage, name)
     with by(port):
         stage.wait_for("moving")
         stopped_s = time.monotonic()
         os.kill(pid, signal.SIGSTOP)
-        nobody_commands(stage)
+        no_source_commands(stage)
         wait_until(lambda: time.monotonic() > stopped_s + 2.0 * LEASE_S, "a long gap")
     wait_until(lambda: stage.robot.status()["at_rest"], "rest")
     accepted = stage.robot.status()["commands"]["accepted"]
     os.kill(pid, signal.SIGCONT)
-    wait_until(lambda: refused(stage, name) > before, "what waited is refused")
+    wait_until(lambda: refused(stage, name) > before, "the queued commands are refused")
     status = stage.robot.status()
     assert status["commands"]["accepted"] == accepted
     assert status["at_rest"]
     assert status["bus"]["pid"] == pid
     with by(port):
         stage.wait_for("moving")
-    nobody_commands(stage)
+    no_source_commands(stage)
     stage.robot.disarm()
 
 
 @pytest.mark.parametrize("ahead_s", [0.0, 3600.0, -3600.0])
-def test_what_waited_at_the_sender_moves_nothing_whatever_its_clock_reports(stage, ahead_s):
+def test_commands_held_back_by_the_sender_move_nothing_whatever_its_clock(stage, ahead_s):
     arms(stage)
     with peer("twist", f"rt{NAMESPACE}/cmd_vel", SPEED_M_S, 0.0, ahead_s) as sender:
         stage.wait_for("moving")
         sender.say("held")
-        nobody_commands(stage)
+        no_source_commands(stage)
         sent = inputs(stage)["ros2"]["sent"]
         wait_until(lambda: inputs(stage).get("ros2", {}).get("sent", 0) > sent, "more of them")
         assert not stage.robot.status()["leases"]

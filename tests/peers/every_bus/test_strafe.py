@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`linear.y` of every network moves a mecanum base to the left; a base that cannot move sideways
-obeys the rest, counts the command and logs it once."""
+follows the rest, counts the command and logs it once."""
 
 import asyncio
 import contextlib
@@ -65,7 +65,7 @@ def settings(place, folder):
 
 @pytest.fixture(scope="module")
 def place(request, tmp_path_factory):
-    """A robot that obeys every network at once."""
+    """A robot with an input from every network at once."""
     folder = tmp_path_factory.mktemp("strafe")
     made = SimpleNamespace(router_port=free_port(), web_port=free_port(), fox_port=free_port())
     with (
@@ -93,12 +93,12 @@ def leased(stage):
 
 
 async def nothing():
-    """A peer in a process of its own sends without being asked."""
+    """For a peer process, which sends by itself."""
 
 
 @contextlib.asynccontextmanager
 async def by_dds(place, linear_m_s, lateral_m_s):
-    """Taken by the thread in C."""
+    """Received by the thread in C."""
     with peer("plane", "rt/stamped/cmd_vel", linear_m_s, lateral_m_s):
         yield nothing
 
@@ -165,7 +165,7 @@ NETWORKS = {
 
 
 async def sent_until(stage, send, condition, what):
-    """Again and again; armed again where a busy machine was a fault to the drives."""
+    """Sends until `condition` holds; arms again after a fault that a busy machine caused."""
     async with asyncio.timeout(DEADLINE_S):
         while not condition():
             with contextlib.suppress(ClientError):
@@ -179,14 +179,14 @@ async def sent_until(stage, send, condition, what):
 
 @pytest.fixture
 def resting(place):
-    """Armed, and nothing commands."""
+    """Armed, with no source in command."""
     wait_until(lambda: not place.stage.robot.status()["leases"], "the command's end")
     with armed(place.stage) as stage:
         yield stage
 
 
 def shift(before, after):
-    """Forward and to the left, as the base stood before, in m."""
+    """Forward and to the left in m, in the axes of the base before the motion."""
     dx_m, dy_m = after.x_m - before.x_m, after.y_m - before.y_m
     cosine, sine = math.cos(before.heading_rad), math.sin(before.heading_rad)
     return dx_m * cosine + dy_m * sine, dy_m * cosine - dx_m * sine
@@ -214,7 +214,7 @@ async def test_linear_y_moves_a_mecanum_base_to_the_left(place, resting, network
 
 @on(DIFFERENTIAL)
 @pytest.mark.parametrize("network", NETWORKS)
-async def test_a_base_that_cannot_move_sideways_obeys_the_rest_and_counts_it(
+async def test_a_base_that_cannot_move_sideways_follows_the_rest_and_counts_it(
     place, resting, network
 ):
     before, counted = resting.sim.truth(), resting.robot.status()["commands"]["sideways"]
@@ -229,7 +229,7 @@ async def test_a_base_that_cannot_move_sideways_obeys_the_rest_and_counts_it(
 
 
 SLOW_M_S = 0.1
-"""What a busy machine brings it too far is within the tolerance then."""
+"""So slow that the overshoot of a busy machine stays within the tolerance."""
 
 
 def asked(direction_rad, distance_m=0.3):
@@ -239,7 +239,7 @@ def asked(direction_rad, distance_m=0.3):
 
 
 def carried_out(stage, direction_rad):
-    """Where it was before, and what the action sent; again where it was held up, as `in_time`."""
+    """The pose before, the result and the feedback; repeated like `in_time` if held up."""
     for _ in range(TRIES):
         with armed(stage), asked(direction_rad) as client:
             before = stage.sim.truth()

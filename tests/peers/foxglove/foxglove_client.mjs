@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Foxglove's own client: node foxglove_client.mjs URL MODULES. Prints the server's word of itself,
+// Foxglove's own client: node foxglove_client.mjs URL MODULES. Prints the server's information,
 // its channels, and the first message of /odom. MODULES: the folder of the npm packages.
 
 import { createRequire } from "node:module";
@@ -10,7 +10,7 @@ const require = createRequire(`${modules}/`);
 const { FoxgloveClient } = require("@foxglove/ws-protocol");
 const WebSocket = require("ws");
 
-// The client is older than the name that the server gives to the protocol.
+// The client is older than the server's name of the protocol.
 FoxgloveClient.SUPPORTED_SUBPROTOCOL = "foxglove.sdk.v1";
 setTimeout(() => process.exit(1), WITHIN_MS).unref();
 const seen = { channels: {} };

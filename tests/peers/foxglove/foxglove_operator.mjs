@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A program on Foxglove's own client that commands: node foxglove_operator.mjs URL MODULES TOKEN.
-// Prints what it saw. MODULES: the folder of the npm packages.
+// A program on Foxglove's own client that drives: node foxglove_operator.mjs URL MODULES TOKEN.
+// Prints what it received. MODULES: the folder of the npm packages.
 
 import { createRequire } from "node:module";
 
@@ -10,7 +10,7 @@ const require = createRequire(`${modules}/`);
 const { FoxgloveClient } = require("@foxglove/ws-protocol");
 const WebSocket = require("ws");
 
-// The client is older than the name that the server gives to the protocol.
+// The client is older than the server's name of the protocol.
 FoxgloveClient.SUPPORTED_SUBPROTOCOL = "foxglove.sdk.v1";
 const seen = {};
 setTimeout(() => {
@@ -61,11 +61,11 @@ async function call(name, request) {
 }
 
 await once("advertiseServices", () => true);
-await pause(0); // until the other listener has seen them, too
+await pause(0); // until the other listener has handled them too
 seen.services = [...services.keys()];
 seen.refused = await call("/arm", {});
 await call("/authorize", { token });
-// Until the lease of who was here before has ended, and no drive looks unresponsive on a busy machine.
+// Until the earlier client's lease has ended, and no drive looks unresponsive on a busy machine.
 async function arm() {
   while (!(seen.arm = await call("/arm", {})).success) {
     await call("/reset", {});

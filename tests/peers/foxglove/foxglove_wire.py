@@ -13,7 +13,7 @@ SUBPROTOCOL = "foxglove.sdk.v1"
 
 
 class Wire:
-    """`services` and `channels`: by name, as far as they were advertised until now."""
+    """A connection. `services` and `channels`: what was advertised until now, by name."""
 
     def __init__(self, socket):
         self._socket = socket
@@ -21,7 +21,7 @@ class Wire:
         self.services, self.channels = {}, {}
 
     async def received(self, op, fits=lambda message: True):
-        """The next that fits; what is advertised meanwhile is kept."""
+        """The next message that fits; advertisements before it are kept."""
         while True:
             raw = await self._socket.recv()
             if isinstance(raw, bytes):
@@ -37,7 +37,7 @@ class Wire:
                 return message
 
     async def advertised(self, count):
-        """By topic, when there are so many."""
+        """Waits for `count` channels; returns them by topic."""
         while len(self.channels) < count:
             await self.received("advertise")
         return self.channels
@@ -46,7 +46,7 @@ class Wire:
         await self._socket.send(json.dumps({"op": op} | more))
 
     async def call(self, service, **request):
-        """What the service answers."""
+        """The answer of the service."""
         while f"/{service}" not in self.services:
             await self.received("advertiseServices")
         number = next(self._numbers)
@@ -80,7 +80,7 @@ class Wire:
 
 @contextlib.asynccontextmanager
 async def wired(port, tls=None):
-    """Again until it listens. `tls`: a context, for a server with a certificate."""
+    """A connection, retried until the server listens. `tls`: a context for its certificate."""
     while True:
         try:
             socket = await connect(
@@ -88,7 +88,7 @@ async def wired(port, tls=None):
                 ssl=tls,
                 subprotocols=[SUBPROTOCOL],
                 max_size=1 << 22,
-                close_timeout=1.0,  # who has stopped reading does not answer
+                close_timeout=1.0,  # a server that no longer reads does not answer
             )
             break
         except OSError:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Foxglove's server, spoken to by its protocol (foxglove/ws-protocol), message by message, and read
-by another's decoder."""
+"""The Foxglove server, tested message by message by its protocol (foxglove/ws-protocol) and with
+another project's decoder."""
 
 import asyncio
 import json
@@ -21,7 +21,7 @@ from motord.bus.messages.topics import TOPICS
 MODULES = ROOT / "build/node/node_modules"
 OWN_CLIENT = MODULES / "@foxglove/ws-protocol"
 OFFERED = {name: topic for name, topic in TOPICS.items() if name != "imu"}
-"""The demonstration's robot has none."""
+"""The demonstration's robot has no IMU."""
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def stage(tmp_path_factory, port):
         yield stage
 
 
-async def test_what_foxglove_subscribes_to_comes_and_is_what_the_daemon_reports(stage, port):
+async def test_subscribed_topics_arrive_and_match_the_daemons_status(stage, port):
     typestore = get_typestore(Stores.ROS2_JAZZY)
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
         odom = (await client.advertised(7))["/odom"]
@@ -58,7 +58,7 @@ async def test_nothing_can_be_commanded(stage, port):
     not (shutil.which("node") and OWN_CLIENT.exists() and (MODULES / "ws").exists()),
     reason="apt install nodejs npm; npm install --prefix build/node @foxglove/ws-protocol ws",
 )
-def test_foxgloves_own_client_reads_what_there_is(stage, port):
+def test_foxgloves_own_client_reads_every_channel(stage, port):
     program = Path(__file__).with_name("foxglove_client.mjs")
 
     def ran():
@@ -66,7 +66,7 @@ def test_foxgloves_own_client_reads_what_there_is(stage, port):
             ["node", str(program), f"ws://127.0.0.1:{port}", str(MODULES)],
             capture_output=True, timeout=2 * DEADLINE_S,
         )  # fmt: skip
-        return json.loads(run.stdout) if run.stdout else None  # it may have come too early
+        return json.loads(run.stdout) if run.stdout else None  # None: it came too early
 
     found = wait_until(ran, "what the client saw")
     assert found["server"]["name"] == stage.robot.status()["robot"]
@@ -78,7 +78,7 @@ def test_foxgloves_own_client_reads_what_there_is(stage, port):
     assert message.child_frame_id == "base_link"
 
 
-async def test_a_client_that_stops_reading_costs_the_others_nothing(stage, port):
+async def test_a_client_that_stops_reading_does_not_disturb_the_others(stage, port):
     ticks = stage.robot.status()["loop"]["ticks"]
     async with asyncio.timeout(2 * DEADLINE_S), wired(port) as stuck, wired(port) as client:
         for one in (stuck, client):
@@ -93,8 +93,8 @@ async def test_a_client_that_stops_reading_costs_the_others_nothing(stage, port)
     assert stage.robot.status()["loop"]["ticks"] > ticks
 
 
-async def test_whatever_begins_to_read_is_sent_what_the_robot_looks_like(stage, port):
-    for _ in range(2):  # the second one that comes, too
+async def test_each_new_subscriber_gets_the_robot_description(stage, port):
+    for _ in range(2):  # the second client too
         async with asyncio.timeout(DEADLINE_S), wired(port) as client:
             channels = await client.advertised(len(OFFERED) + 1)
             channel = {"id": 9, "channelId": channels["/robot_description"]["id"]}

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Foxglove server that obeys: any client that connects may look; one that shows the token drives
-the robot and changes its limits."""
+"""A Foxglove server that takes commands: every client may watch; one with the token drives the
+robot and changes its limits."""
 
 import asyncio
 import contextlib
@@ -48,13 +48,13 @@ async def let_in(client):
 
 
 async def armed(client, **token):
-    """Again when a busy machine made a drive look unresponsive, or another lease has not ended."""
+    """Retried: a drive may look unresponsive on a busy machine, or another lease still lives."""
     while not (await client.call("arm", **token))["success"]:
         await client.call("reset", **token)
 
 
 async def driven(stage, client, channel, message, **token):
-    """Until it moves."""
+    """Publishes until the robot moves."""
     while (state := stage.state()) != "moving":
         if state != "armed":
             await armed(client, **token)
@@ -63,7 +63,7 @@ async def driven(stage, client, channel, message, **token):
 
 
 async def complaint(client, about, ask):
-    """Of what is asked for; again, for complaints are rare."""
+    """The server's warning about `about`; `ask` is repeated, because warnings are rate-limited."""
     while True:
         await ask()
         with contextlib.suppress(TimeoutError):
@@ -88,7 +88,7 @@ async def test_a_service_without_the_token_does_nothing(stage, port, request_):
     assert stage.state() not in ("armed", "moving")
 
 
-async def test_a_call_that_shows_the_token_is_obeyed_and_lets_no_later_one_in(stage, port):
+async def test_a_token_in_a_call_is_valid_for_that_call_only(stage, port):
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
         assert (await client.call("estop", token=TOKEN)) == {"success": True, "message": "estop"}
         assert not (await client.call("reset"))["success"]
@@ -98,7 +98,7 @@ async def test_a_call_that_shows_the_token_is_obeyed_and_lets_no_later_one_in(st
 
 
 @pytest.mark.parametrize(("topic", "message"), [("/cmd_vel", TWIST), ("/joint_commands", WHEELS)])
-async def test_who_is_let_in_drives_and_the_lease_lapses_when_the_client_is_gone(
+async def test_an_authorized_client_drives_and_its_lease_lapses_when_it_disconnects(
     stage, port, topic, message
 ):
     stage.robot.disarm()
@@ -115,7 +115,7 @@ async def test_who_is_let_in_drives_and_the_lease_lapses_when_the_client_is_gone
             await client.call("disarm", token=TOKEN)
 
 
-async def test_a_message_may_show_the_token_itself(stage, port):
+async def test_a_message_may_carry_the_token_itself(stage, port):
     async with asyncio.timeout(2 * DEADLINE_S), wired(port) as client:
         channel = await client.advertise("/cmd_vel")
         await driven(stage, client, channel, TWIST | {"token": TOKEN}, token=TOKEN)
@@ -133,7 +133,7 @@ async def test_a_message_without_the_token_is_refused_counted_and_reported(stage
     assert stage.robot.status()["commands"]["accepted"] == before
 
 
-async def test_a_complaint_is_taken_back_when_its_cause_is_gone(stage, port):
+async def test_a_warning_is_removed_when_its_cause_is_gone(stage, port):
     zero = {"linear": {"x": 0.0}, "angular": {"z": 0.0}, "token": TOKEN}
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
         channel = await client.advertise("/cmd_vel")
@@ -143,7 +143,7 @@ async def test_a_complaint_is_taken_back_when_its_cause_is_gone(stage, port):
         assert answer["statusIds"] == ["cmd_vel"]
 
 
-async def test_a_channel_that_was_given_up_commands_no_longer(stage, port):
+async def test_an_unadvertised_channel_no_longer_commands(stage, port):
     accepted = stage.robot.status()["commands"]["accepted"]
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
         await let_in(client)
@@ -154,8 +154,8 @@ async def test_a_channel_that_was_given_up_commands_no_longer(stage, port):
     assert stage.robot.status()["commands"]["accepted"] == accepted
 
 
-async def test_strangers_do_not_push_out_who_commands(stage, port):
-    """However many channels they open, and connections come and go."""
+async def test_other_clients_do_not_push_out_the_one_in_command(stage, port):
+    """The others open many channels, and their connections come and go."""
     zero = {"linear": {"x": 0.0}, "angular": {"z": 0.0}}
 
     async def obeyed():
@@ -171,29 +171,29 @@ async def test_strangers_do_not_push_out_who_commands(stage, port):
             async with wired(port) as other:
                 for _ in range(100):
                     await other.advertise("/cmd_vel")
-                await other.call("reset_odometry")  # they were read
+                await other.call("reset_odometry")  # the channels were read
                 for _ in range(20):
                     await let_in(other)
             await obeyed()
 
 
 @pytest.mark.parametrize(("topic", "encoding"), [("/odom", "json"), ("/cmd_vel", "cdr")])
-async def test_what_cannot_be_published_is_reported(stage, port, topic, encoding):
+async def test_a_channel_that_cannot_be_published_is_reported(stage, port, topic, encoding):
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
         answer = await complaint(client, "publish", lambda: client.advertise(topic, encoding))
         assert answer == "publish: taken are /cmd_vel, /joint_commands, in json"
 
 
 def of(value):
-    """That the one parameter which was asked for has it."""
+    """Whether the one requested parameter has this value."""
     return lambda answer: [one["value"] for one in answer["parameters"]] == [value]
 
 
-async def test_limits_are_read_changed_and_sent_to_who_subscribed(stage, port):
+async def test_limits_are_read_and_changed_and_changes_reach_subscribers(stage, port):
     async with asyncio.timeout(DEADLINE_S), wired(port) as client, wired(port) as watcher:
         await let_in(client)
         while LIMIT not in (all_ := await client.parameters("getParameters", parameterNames=[])):
-            await asyncio.sleep(0.05)  # the daemon was not asked yet
+            await asyncio.sleep(0.05)  # motord-bus has not read the limits yet
         assert all_["base.track_m"] > 0
         await watcher.send("subscribeParameterUpdates", parameterNames=[LIMIT])
         value = all_[LIMIT] / 2
@@ -201,11 +201,11 @@ async def test_limits_are_read_changed_and_sent_to_who_subscribed(stage, port):
         assert await client.parameters("setParameters", parameters=change) == {LIMIT: value}
         assert stage.robot.call("params.get", names=[LIMIT]) == {LIMIT: value}
         await watcher.received("parameterValues", of(value))
-        stage.robot.call("params.set", **{LIMIT: all_[LIMIT]})  # by another way
+        stage.robot.call("params.set", **{LIMIT: all_[LIMIT]})  # through the local socket
         await watcher.received("parameterValues", of(all_[LIMIT]))
 
 
-async def test_no_limit_is_reported_as_in_the_robot_file(stage, port):
+async def test_an_absent_limit_is_reported_as_inf_as_in_the_robot_file(stage, port):
     jerk = "limits.linear_m_s3"
     before = stage.robot.call("params.get", names=[jerk])
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
@@ -227,7 +227,7 @@ async def test_no_limit_is_reported_as_in_the_robot_file(stage, port):
         ("limits.nothing", 1.0, "no parameter"),
     ],
 )
-async def test_a_change_that_is_refused_changes_nothing_and_the_reason_is_reported(
+async def test_a_refused_change_changes_nothing_and_reports_the_reason(
     stage, port, name, value, words
 ):
     before = stage.robot.call("params.get")
@@ -242,7 +242,7 @@ async def test_a_change_that_is_refused_changes_nothing_and_the_reason_is_report
     assert stage.robot.call("params.get") == before
 
 
-async def test_a_stranger_changes_no_limit(stage, port):
+async def test_a_client_without_the_token_changes_no_limit(stage, port):
     before = stage.robot.call("params.get")
     async with asyncio.timeout(DEADLINE_S), wired(port) as client:
         change = [{"name": LIMIT, "value": 0.01}]
@@ -252,7 +252,7 @@ async def test_a_stranger_changes_no_limit(stage, port):
 
 
 @pytest.mark.skipif(not shutil.which("openssl"), reason="apt install openssl")
-async def test_by_tls_with_the_certificate_of_the_robot_file(tmp_path):
+async def test_it_serves_tls_with_the_certificate_of_the_robot_file(tmp_path):
     certified(tmp_path)
     port = free_port()
     settings = ("input.fox.kind=foxglove", f"input.fox.port={port}",

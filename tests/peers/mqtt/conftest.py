@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A broker that anyone may use."""
+"""A broker without passwords."""
 
 import pytest
 from tests.peers.mqtt.mosquitto import broker

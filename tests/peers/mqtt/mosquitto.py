@@ -33,9 +33,9 @@ class Broker:
     port: int
     process: subprocess.Popen = None
     options: tuple = ()
-    """Of its clients, to be let in."""
+    """Options with which its clients may connect."""
     lines: tuple = ()
-    """Of its configuration."""
+    """More lines of its configuration."""
     readers: list = field(default_factory=list)
 
     def start(self):
@@ -88,13 +88,13 @@ def broker(folder, *lines, options=()):
 
 
 def stamp(age_s=0.0):
-    """The header of a command that was given so long ago."""
+    """The header of a command that is `age_s` old."""
     sec, rest = divmod(time.time() - age_s, 1.0)
     return {"stamp": {"sec": int(sec), "nanosec": int(rest * 1e9)}, "frame_id": ""}
 
 
 def certified(folder, name="DNS:localhost"):
-    """An authority, and a certificate by it for that name."""
+    """Makes a certificate authority and its certificate for that name."""
 
     def openssl(*words):
         subprocess.run(["openssl", *words], check=True, cwd=folder, capture_output=True, timeout=60)
@@ -109,7 +109,7 @@ def certified(folder, name="DNS:localhost"):
 
 
 def with_password(folder):
-    """A user of the broker, and the file with the password."""
+    """Adds a user to the broker, and writes the password file."""
     (folder / "password").write_text("secret\n", encoding="ascii")
     (folder / "password").chmod(0o600)
     subprocess.run(

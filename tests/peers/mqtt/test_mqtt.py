@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MQTT against Eclipse Mosquitto: what is published and obeyed, and what a broken broker costs."""
+"""MQTT against Eclipse Mosquitto: publishing, commands, and the effects of a failing broker."""
 
 import json
 import math
@@ -24,7 +24,7 @@ LEASE_S = 1.0
 ANSWER_WITHIN_S = 10.0
 READER = ("mosquitto_sub", "-W", f"{DEADLINE_S:.0f}", "-v",
           "-t", "site/r2/answer", "-t", "site/r2/odom")  # fmt: skip
-"""Answers, and odometry that shows that it is subscribed; it ends where the broker is silent."""
+"""Reads answers, and odometry, which shows that it is subscribed; ends with a silent broker."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def inputs(stage):
 
 
 def ready(stage, but=None):
-    """Another second process than that one commands."""
+    """Waits until a motord-bus other than process `but` has its lease."""
     wait_until(
         lambda: (
             stage.robot.status()["bus"]["pid"] not in (None, but)
@@ -66,12 +66,12 @@ def accepted(stage):
 
 
 def called(stage, peer, method, **more):
-    """Ask by the broker, and wait for the answer to it; once more where the broker had just lost
-    the one who listens, as after a test that hung it."""
+    """Call a method by the broker, and wait for the answer; repeated where the broker had just lost
+    motord-bus, as after a test that hung it."""
     number, asked_s = os.urandom(4).hex(), -math.inf
     with subprocess.Popen([*READER, "-p", str(peer.port)], stdout=subprocess.PIPE) as reader:
         try:
-            for line in reader.stdout:  # it is subscribed: something has come
+            for line in reader.stdout:  # a first message shows that it is subscribed
                 if time.monotonic() - asked_s > ANSWER_WITHIN_S:
                     asked_s = time.monotonic()
                     call = {"token": TOKEN, "method": method, "id": number} | more
@@ -90,7 +90,7 @@ def twist(linear_m_s, age_s=0.0, **more):
 
 
 class Driving:
-    """Commands the robot by the broker, as long as it lasts."""
+    """Commands the robot by the broker while it is entered."""
 
     def __init__(self, peer, linear_m_s):
         self._peer, self._linear_m_s = peer, linear_m_s
@@ -123,7 +123,7 @@ class Driving:
 
 
 def armed(stage, peer):
-    """By the broker; again when a busy machine has made a drive look unresponsive."""
+    """Arms by the broker; retried, because a drive may look unresponsive on a busy machine."""
 
     def attempt():
         method = {"fault": "reset", "estop": "reset", "idle": "arm"}.get(stage.state())
@@ -143,22 +143,22 @@ def test_odometry_on_the_broker_is_that_of_the_daemon(stage, peer):
 
 
 @pytest.mark.parametrize("topic", sorted(set(TOPICS) - {"imu"}))  # this robot has no gyro
-def test_every_topic_comes(stage, peer, topic):
+def test_every_topic_is_published(stage, peer, topic):
     assert "header" in json.loads(peer.get(f"site/r2/{topic}")) or topic == "tf"
 
 
-def test_what_there_is_is_described_to_who_comes_late(stage, peer):
+def test_a_late_subscriber_gets_the_description(stage, peer):
     message = json.loads(peer.get("site/r2/description", "--retained-only"))
     assert message["joints"] == ["left", "right"]
     assert message["topics"]["odom"] == {"type": "nav_msgs/msg/Odometry", "rate_hz": 20.0}
 
 
-def test_cbor_reports_the_same(stage, peer):
+def test_cbor_carries_the_same_message(stage, peer):
     raw = peer.get("site/short/odom", "-N")
     assert cbor2.loads(raw)["child_frame_id"] == "base_link"
 
 
-def test_the_broker_reports_that_a_process_that_died_is_offline_and_it_comes_back(stage, peer):
+def test_the_broker_reports_a_killed_process_offline_and_its_successor_online(stage, peer):
     assert peer.get("site/r2/status") == b"online"
     with subprocess.Popen(
         ["mosquitto_sub", "-p", str(peer.port), "-t", "site/r2/status"], stdout=subprocess.PIPE
@@ -172,7 +172,7 @@ def test_the_broker_reports_that_a_process_that_died_is_offline_and_it_comes_bac
     ready(stage, but=pid)
 
 
-def test_who_shows_the_token_drives_and_is_named(stage, peer):
+def test_a_client_with_the_token_drives_and_is_named(stage, peer):
     armed(stage, peer)
     with Driving(peer, 0.2):
         stage.wait_for("moving")
@@ -185,7 +185,7 @@ def test_who_shows_the_token_drives_and_is_named(stage, peer):
     stage.wait_for("armed")
 
 
-def test_who_shows_the_token_commands_the_wheels_by_the_joints_names(stage, peer):
+def test_a_client_with_the_token_commands_wheels_by_joint_name(stage, peer):
     def moving():
         if stage.state() not in ("armed", "moving"):
             armed(stage, peer)
@@ -195,12 +195,12 @@ def test_who_shows_the_token_commands_the_wheels_by_the_joints_names(stage, peer
         return stage.state() == "moving"
 
     wait_until(moving, "the wheels turn", 2 * DEADLINE_S)
-    stage.wait_for("armed", "fault")  # of a busy machine
+    stage.wait_for("armed", "fault")  # a fault of a busy machine
 
 
 def refusal_of(stage, peer, topic, command):
-    """Until it is counted. It is sent again: while a busy machine reconnects, the broker keeps
-    none."""
+    """Sends the command until its refusal is counted: while motord-bus reconnects on a busy
+    machine, the broker keeps no command."""
     refused = inputs(stage)["fleet"]["refused"]
 
     def attempt():
@@ -230,13 +230,13 @@ def test_wheels_without_the_token_are_refused(stage, peer):
         "{",
     ],
 )
-def test_a_command_that_is_not_as_it_must_be_is_refused_and_counted(stage, peer, command):
+def test_a_malformed_command_is_refused_and_counted(stage, peer, command):
     before = accepted(stage)
     refusal_of(stage, peer, "cmd_vel", command)
     assert accepted(stage) == before
 
 
-def test_a_command_that_waited_somewhere_is_refused_by_the_loop(stage, peer):
+def test_a_delayed_command_is_refused_by_the_loop(stage, peer):
     armed(stage, peer)
     before = stage.robot.status()["commands"]["refused"]["age"]
     peer.pub("site/r2/cmd_vel", twist(0.2, age_s=30.0))
@@ -246,7 +246,7 @@ def test_a_command_that_waited_somewhere_is_refused_by_the_loop(stage, peer):
     assert stage.state() == "armed"
 
 
-def test_a_retained_command_is_not_obeyed(stage, peer):
+def test_a_retained_command_moves_nothing(stage, peer):
     armed(stage, peer)
     peer.pub("site/r2/cmd_vel", twist(0.2), "-r")
     pid = stage.robot.status()["bus"]["pid"]
@@ -262,7 +262,7 @@ def test_a_retained_command_is_not_obeyed(stage, peer):
 
 
 @pytest.mark.parametrize("token", ["wrong", None, 7])
-def test_a_call_without_the_token_does_nothing_and_is_sent_so(stage, peer, token):
+def test_a_call_without_the_token_does_nothing_and_gets_the_reason(stage, peer, token):
     armed(stage, peer)
     before = inputs(stage)["fleet"]["refused"]
     answer = called(stage, peer, "disarm", token=token)
@@ -273,7 +273,7 @@ def test_a_call_without_the_token_does_nothing_and_is_sent_so(stage, peer, token
 
 
 @pytest.mark.parametrize("key", ["token", "id", "method"])
-def test_half_a_surrogate_pair_is_refused_and_the_lease_goes_on(stage, peer, key):
+def test_half_a_surrogate_pair_is_refused_and_the_input_keeps_working(stage, peer, key):
     before = inputs(stage)["fleet"]
     call = {"token": TOKEN, "method": "estop", "id": 1} | {key: "\ud800"}
     peer.pub("site/r2/call", call)
@@ -283,7 +283,7 @@ def test_half_a_surrogate_pair_is_refused_and_the_lease_goes_on(stage, peer, key
     assert "input.fleet" not in stage.robot.status()["bus"]["failures"]
 
 
-def test_a_call_that_there_is_not_is_answered_with_those_there_are(stage, peer):
+def test_an_unknown_call_is_answered_with_the_known_ones(stage, peer):
     assert "estop" in called(stage, peer, "params.set")["error"]
 
 
@@ -294,13 +294,13 @@ def test_an_emergency_stop_by_the_broker_is_latched(stage, peer):
     assert called(stage, peer, "reset")["result"] == {"state": "idle"}
 
 
-def test_an_emergency_stop_behind_a_heap_of_calls_is_obeyed_and_each_is_answered(stage, peer):
+def test_an_emergency_stop_behind_many_calls_stops_and_every_call_is_answered(stage, peer):
     names = [f"{os.urandom(4).hex()}-{number}" for number in range(60)]
     calls = [{"token": TOKEN, "method": "status", "id": name} for name in names[:-1]]
     calls.append({"token": TOKEN, "method": "estop", "id": names[-1]})
     with subprocess.Popen([*READER, "-p", str(peer.port)], stdout=subprocess.PIPE) as reader:
         try:
-            reader.stdout.readline()  # it is subscribed: something has come
+            reader.stdout.readline()  # a first message shows that it is subscribed
             subprocess.run(
                 ["mosquitto_pub", "-p", str(peer.port), "-t", "site/r2/call", "-q", "1", "-l"],
                 input="\n".join(map(json.dumps, calls)).encode(), check=True, timeout=30,
@@ -338,7 +338,7 @@ def test_a_broker_that_hangs_stops_the_robot_and_is_found_again(stage, peer):
 
 
 @pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL])
-def test_when_it_hangs_or_dies_while_it_commands_its_lease_lapses(stage, peer, number):
+def test_the_lease_lapses_when_motord_bus_hangs_or_dies_while_it_commands(stage, peer, number):
     armed(stage, peer)
     pid = stage.robot.status()["bus"]["pid"]
     with Driving(peer, 0.2):
@@ -352,7 +352,7 @@ def test_when_it_hangs_or_dies_while_it_commands_its_lease_lapses(stage, peer, n
     ready(stage, but=pid)
 
 
-def test_a_broker_that_was_started_again_is_found_again(stage, peer):
+def test_a_restarted_broker_is_found_again(stage, peer):
     peer.stop()
     peer.start()
     assert json.loads(peer.get("site/r2/odom"))
@@ -360,7 +360,7 @@ def test_a_broker_that_was_started_again_is_found_again(stage, peer):
 
 
 @pytest.mark.skipif(not shutil.which("openssl"), reason="apt install openssl")
-def test_by_tls_with_a_password_and_never_to_a_broker_of_another_authority(tmp_path):
+def test_it_connects_by_tls_and_password_and_to_no_broker_of_another_authority(tmp_path):
     certified(tmp_path)
     with_password(tmp_path)
     (tmp_path / "users").chmod(0o644)

@@ -47,7 +47,7 @@ def retained(peer, topic):
     return json.loads(peer.get(topic, "--retained-only"))
 
 
-def test_who_comes_late_is_sent_of_the_birth_and_of_each_topic(stage, peer):
+def test_a_late_subscriber_gets_the_birth_and_each_topic(stage, peer):
     birth = retained(peer, f"spBv1.0/site/NBIRTH/{name(stage)}")
     assert birth["joints"] == ["left", "right"]
     assert birth["bdSeq"] <= birth["timestamp"]
@@ -56,19 +56,19 @@ def test_who_comes_late_is_sent_of_the_birth_and_of_each_topic(stage, peer):
     assert {key: topic[key] for key in about} == about == birth["topics"]["odom"]
 
 
-def test_data_are_the_messages_of_the_topic(stage, peer):
+def test_data_carry_the_topics_messages(stage, peer):
     message = json.loads(peer.get(f"spBv1.0/site/DDATA/{name(stage)}/odom"))
     assert message["child_frame_id"] == "base_link"
 
 
-def test_the_namespace_and_the_encoding_may_be_others(stage, peer):
+def test_namespace_and_encoding_can_be_set(stage, peer):
     birth = cbor2.loads(peer.get(f"cbor/site/NBIRTH/{name(stage)}", "-N", "--retained-only"))
     assert set(birth["topics"]) == {"tf"}
     message = cbor2.loads(peer.get(f"cbor/site/DDATA/{name(stage)}/tf", "-N"))
     assert message["transforms"][0]["child_frame_id"] == "base_link"
 
 
-def test_commands_and_calls_are_those_of_the_device_and_of_the_node(stage, peer):
+def test_dcmd_carries_commands_and_ncmd_carries_calls(stage, peer):
     node = f"spBv1.0/site/NCMD/{name(stage)}"
     device = f"spBv1.0/site/DCMD/{name(stage)}/cmd_vel"
 
@@ -86,11 +86,11 @@ def test_commands_and_calls_are_those_of_the_device_and_of_the_node(stage, peer)
         return stage.state() == "moving"
 
     wait_until(moving, "the robot moves", 2 * DEADLINE_S)
-    stage.wait_for("armed", "fault")  # of a busy machine
+    stage.wait_for("armed", "fault")  # a fault of a busy machine
 
 
-def test_a_process_that_died_has_the_death_of_its_last_birth(stage, peer):
-    """A client that comes late knows by both, which are retained, that it is gone."""
+def test_a_killed_process_leaves_the_death_of_its_last_birth(stage, peer):
+    """Birth and death are both retained, and show a late client that the process is gone."""
     born = retained(peer, f"spBv1.0/site/NBIRTH/{name(stage)}")["bdSeq"]
     pid = stage.robot.status()["bus"]["pid"]
     os.kill(pid, signal.SIGKILL)

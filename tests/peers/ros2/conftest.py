@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a test leaves behind does not reach the next one. Each file has a `stage` of its own."""
+"""Resets the robot between tests. Each file has a `stage` of its own."""
 
 import pytest
 from tests.peers.ros2.ros2_stage import called, settle

@@ -4,15 +4,15 @@ library itself. It shares nothing with motord.
 
     ros2_peer.py DOMAIN topic NAME TYPE [late]   a line of JSON for each sample
     ros2_peer.py DOMAIN drive NAME V W [AGE_S [NODE]]   20 TwistStamped a second; age "zero": the
-                                                 stamp 0; NODE: says in the graph whose they are
+                                                 stamp 0; NODE: the writer's node in the graph
     ros2_peer.py DOMAIN bursts NAME V N          N TwistStamped at once for each line on stdin;
-                                                 for `old`, one that is a minute old
-    ros2_peer.py DOMAIN frame NAME CHARS         20 TwistStamped a second, with so long a frame
+                                                 for the line `old`, one that is a minute old
+    ros2_peer.py DOMAIN frame NAME CHARS         20 TwistStamped a second, with a frame_id of CHARS
     ros2_peer.py DOMAIN plane NAME VX VY [plain]   20 TwistStamped a second, or Twist
     ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, by a clock ahead of ours; a
                                                  line on standard input: sent 3 s ago from now on
     ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
-    ros2_peer.py DOMAIN say NAME TEXT [best [NODE]]  one String, again and again; best: best effort
+    ros2_peer.py DOMAIN say NAME TEXT [best [NODE]]  one String, repeatedly; best: best effort
     ros2_peer.py DOMAIN calls                    for each line on stdin, [NAME, TYPE, VALUES] in
                                                  JSON, one request; its reply as JSON
     ros2_peer.py DOMAIN act NAME TYPE [JSON]     one goal: accepted, feedback, result, each as JSON;
@@ -79,7 +79,7 @@ _saying = threading.Lock()
 
 
 def say(value):
-    """A line; goals are reported by two threads, and `print` ends its line by itself."""
+    """Print a line of JSON. The lock keeps lines whole: two threads report a goal."""
     with _saying:
         print(json.dumps(value, default=list), flush=True)
 
@@ -205,7 +205,7 @@ def _built(kind, values):
 
 
 def _service_id(endpoint):
-    if endpoint is None:  # it has just gone
+    if endpoint is None:  # the endpoint has just left
         return None
     data = [policy.data for policy in endpoint.qos if isinstance(policy, Policy.Userdata)]
     pairs = dict(pair.split(b"=") for pair in b"".join(data).split(b";") if pair)
@@ -227,13 +227,13 @@ class Caller:
         )
         end_s = time.monotonic() + DEADLINE_S
         while not self._available():
-            assert time.monotonic() < end_s, f"nobody serves {name}"
+            assert time.monotonic() < end_s, f"no server for {name}"
             time.sleep(0.01)
         self._guid = self._writer.instance_handle & 0xFFFFFFFFFFFFFFFF
         self._number = 0
 
     def _available(self):
-        """As rmw_cyclonedds has it: a reader and a writer that say the same `serviceid`."""
+        """The rule of rmw_cyclonedds: a reader and a writer have the same `serviceid`."""
         readers = map(
             self._writer.get_matched_subscription_data, self._writer.get_matched_subscriptions()
         )
@@ -289,7 +289,7 @@ def act(participant, name, kind, values="{}"):
         threading.Thread(target=work, daemon=True).start()
     outcome = result.ask(goal_id=goal_id)
     say({"status": outcome.status, "result": dataclasses.asdict(outcome.result)})
-    while True:  # until it is killed: standard input is still obeyed
+    while True:  # until it is killed: it still reads standard input
         time.sleep(1.0)
 
 
@@ -325,7 +325,7 @@ def main():
     number, command, *words = sys.argv[1:]
     with_domain = Domain(int(number), LOCALHOST)
     COMMANDS[command](DomainParticipant(int(number)), *words)
-    del with_domain  # until now: it ends with its last reference
+    del with_domain  # kept until here: a domain ends with its last reference
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""type_description_interfaces as another node has it: beside ros2_peer_types.py."""
+"""type_description_interfaces of another node, in addition to ros2_peer_types.py."""
 
 from dataclasses import dataclass
 

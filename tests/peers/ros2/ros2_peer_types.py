@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of ROS 2 as another node has them: written by hand, encoded by the DDS library."""
+"""Messages of ROS 2 for another node: written by hand, encoded by the DDS library."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -355,7 +355,7 @@ class CancelReply(IdlStruct, typename="action_msgs::srv::dds_::CancelGoal_Respon
 
 
 def _action(name, goal, result, feedback):
-    """The messages of an action, by what its parts are made of."""
+    """The messages of an action with these parts."""
 
     def made(ending, fields):
         return make_idl_struct(name + ending, f"motord_msgs::action::dds_::{name}{ending}_", fields)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A daemon among ROS 2 nodes, and programs of another make that meet it there."""
+"""A daemon among ROS 2 nodes, and programs of another make that connect to it."""
 
 import contextlib
 import json
@@ -14,16 +14,16 @@ from tests.sim.daemon_stage import PATIENT, running, wait_until
 from motord.client import ClientError
 
 PEER = (sys.executable, "-m", "tests.peers.ros2.ros2_peer")
-DOMAIN = 100 + os.getpid() % 100  # several suites on one machine do not meet
+DOMAIN = 100 + os.getpid() % 100  # separate for suites that run side by side
 NAMESPACE = "/r2"
 LEASE_S = 1.0
 NICENESS = 10
-"""Of peers: the robot goes before them."""
+"""Of peers, so that the robot runs first."""
 
 
 @contextlib.contextmanager
 def ros2_stage(folder, *more, environ=None):
-    """A daemon that publishes to ROS 2 and obeys it."""
+    """A daemon that publishes to ROS 2 and takes commands from it."""
     settings = (
         "publish.ros2.kind=ros2", f"publish.ros2.domain_id={DOMAIN}",
         f"publish.ros2.namespace={NAMESPACE}", "publish.ros2.rate_hz=20",
@@ -45,7 +45,7 @@ def inputs(stage):
 
 
 class Peer:
-    """What it says, line by line."""
+    """A program of another make; reads its output line by line."""
 
     def __init__(self, command, decode):
         self.process = subprocess.Popen(
@@ -103,7 +103,7 @@ class Caller:
             raise
 
     def leave(self):
-        """The next one is new to the robot, and the robot to it."""
+        """End the process: the next call starts one that has to discover the robot anew."""
         if self._peer is not None:
             self._peer.close()
         self._peer = None
@@ -116,13 +116,13 @@ def called(name, kind="Trigger", **values):
     return caller.ask(f"{NAMESPACE}/motord/{name}", kind, values)
 
 
-def nobody_commands(stage):
+def no_source_commands(stage):
     wait_until(lambda: not stage.robot.status()["leases"], "the command's end")
 
 
 def settle(stage):
-    """Disarmed and ready, also where a busy machine was a fault to the drives."""
-    nobody_commands(stage)
+    """Disarmed and ready, also after a fault that a busy machine caused."""
+    no_source_commands(stage)
 
     def settled():
         state = stage.state()

@@ -35,14 +35,14 @@ def stage(tmp_path_factory):
 
 @contextlib.contextmanager
 def goal(name, **values):
-    """A client with its goal; `accepted` is known."""
+    """A client that has sent its goal; `accepted` is the answer."""
     asked = json.dumps(ZERO[name] | values)
     with peer("act", f"{NAMESPACE}/{name}", NAMES[name], asked) as client:
         client.accepted = client.find(lambda one: "accepted" in one, "an answer")["accepted"]
         try:
             yield client
         except AssertionError:
-            if client.accepted:  # it does not stand in the way of the next test
+            if client.accepted:  # it does not disturb the next test
                 client.say("cancel")
                 client.find(lambda message: "canceling" in message, "an answer")
             raise
@@ -61,7 +61,7 @@ def at_rest(stage):
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
 
 
-def test_a_distance_is_driven_and_sent_on_the_way(armed):
+def test_a_distance_is_driven_with_feedback_while_it_moves(armed):
     before = armed.sim.truth()
     with goal("drive_distance", distance_m=0.5) as client:
         assert client.accepted
@@ -82,7 +82,7 @@ def test_a_distance_is_driven_and_sent_on_the_way(armed):
     )
 
 
-def test_backwards_and_round_it_goes_too(armed):
+def test_negative_distances_and_angles_are_driven(armed):
     with goal("drive_distance", distance_m=-0.2) as client:
         status, sent = result(client)
     assert (status, sent["message"]) == (SUCCEEDED, "")
@@ -96,7 +96,7 @@ def test_backwards_and_round_it_goes_too(armed):
     assert turned_rad == pytest.approx(-1.0, abs=0.1)
 
 
-def test_a_robot_that_is_not_armed_takes_no_goal(stage):
+def test_a_disarmed_robot_refuses_a_goal(stage):
     before = stage.sim.truth()
     with goal("drive_distance", distance_m=0.5) as client:
         assert not client.accepted
@@ -106,13 +106,13 @@ def test_a_robot_that_is_not_armed_takes_no_goal(stage):
 
 
 @pytest.mark.parametrize("distance_m", [0.0, math.nan, math.inf, 1e9])
-def test_a_way_that_is_none_is_refused(armed, distance_m):
+def test_a_distance_that_is_zero_not_finite_or_too_large_is_refused(armed, distance_m):
     with goal("drive_distance", distance_m=distance_m) as client:
         assert not client.accepted
     assert armed.sim.truth().at_rest
 
 
-def test_cancelled_the_robot_comes_to_rest(armed):
+def test_a_cancelled_goal_ends_at_rest(armed):
     with goal("drive_distance", distance_m=20.0) as client:
         wait_for_motion(armed)
         client.say("cancel")
@@ -124,7 +124,7 @@ def test_cancelled_the_robot_comes_to_rest(armed):
     armed.wait_for("armed")
 
 
-def test_a_second_goal_is_refused_while_one_is_under_way(armed):
+def test_a_second_goal_is_refused_while_one_is_running(armed):
     with goal("drive_distance", distance_m=20.0) as first:
         wait_for_motion(armed)
         with goal("rotate", angle_rad=1.0) as second:
@@ -144,7 +144,7 @@ def test_a_stop_ends_the_goal_at_rest(armed, method):
     at_rest(armed)
 
 
-def test_drives_that_are_not_received_end_the_goal_at_rest(armed):
+def test_silent_drives_end_the_goal_at_rest(armed):
     with goal("drive_distance", distance_m=20.0) as client:
         wait_for_motion(armed)
         armed.sim.inject("silence:unit=1,for_s=1000")
@@ -157,7 +157,7 @@ def test_drives_that_are_not_received_end_the_goal_at_rest(armed):
             armed.sim.clear_faults_script()
 
 
-def test_a_command_by_hand_ends_the_goal_and_counts(armed):
+def test_a_cmd_vel_ends_the_goal_and_is_followed(armed):
     with goal("drive_distance", distance_m=20.0) as client:
         wait_for_motion(armed)
         with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.0, 0.5):
@@ -199,11 +199,11 @@ def bus_pid(stage):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_without_the_bus_process_the_robot_comes_to_rest(armed, number):
+def test_the_loss_of_motord_bus_brings_the_robot_to_rest(armed, number):
     with goal("drive_distance", distance_m=20.0):
         wait_for_motion(armed)
         pid = wait_until(lambda: bus_pid(armed), "the bus process")
-        caller.leave()  # it would take the one that is gone for a server
+        caller.leave()  # it would still count the killed process as a server
         os.kill(pid, number)
         at_rest(armed)
         armed.wait_for("armed")
@@ -213,7 +213,7 @@ def test_without_the_bus_process_the_robot_comes_to_rest(armed, number):
         assert armed.sim.truth().x_m == x_m
 
 
-def test_a_measured_way_gives_the_wheels_radius_and_moves_nothing_by_itself(armed):
+def test_a_measured_distance_gives_the_wheel_radius_and_calibrate_moves_nothing(armed):
     with goal("calibrate", quantity="wheel_radius", true_distance_m=0.55) as watching:
         assert watching.accepted
         watching.find(lambda message: "feedback" in message, "feedback")
@@ -226,12 +226,12 @@ def test_a_measured_way_gives_the_wheels_radius_and_moves_nothing_by_itself(arme
     assert sent["factor"] == pytest.approx(1.1, rel=0.05)
 
 
-def test_what_cannot_be_measured_is_refused(stage):
+def test_an_unknown_quantity_to_measure_is_refused(stage):
     with goal("calibrate", quantity="luck", true_distance_m=1.0) as client:
         assert not client.accepted
 
 
-def test_who_comes_late_is_sent_how_the_goals_ended(armed):
+def test_a_late_subscriber_gets_the_status_of_past_goals(armed):
     with goal("rotate", angle_rad=0.2) as client:
         assert result(client)[0] == SUCCEEDED
     topic = ("topic", f"rt{NAMESPACE}/rotate/_action/status", "GoalStatusArray", "late")

@@ -11,7 +11,7 @@ from tests.peers.ros2.ros2_stage import (
     NAMESPACE,
     called,
     inputs,
-    nobody_commands,
+    no_source_commands,
     peer,
     ros2_stage,
 )
@@ -30,16 +30,16 @@ def stage(tmp_path_factory):
 
 
 def released(stage):
-    """By the service; again where a request to stop came after it, as on a busy machine."""
+    """Resets by the service; repeated where a busy machine delayed a stop request."""
     wait_until(lambda: called("reset")["success"] and stage.state() == "idle", "idle")
 
 
-def test_odometry_is_received_and_follows_commands_of_another_node(armed):
+def test_odometry_follows_the_commands_of_another_node(armed):
     with (
         peer("topic", f"rt{NAMESPACE}/odom", "Odometry") as ear,
         peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.2),
     ):
-        moved = ear.find(lambda sample: sample["twist"]["twist"]["linear"]["x"] > 0.1, "a way")
+        moved = ear.find(lambda sample: sample["twist"]["twist"]["linear"]["x"] > 0.1, "motion")
     assert moved["header"]["frame_id"] == "r2/odom"
     assert moved["child_frame_id"] == "r2/base_link"
     assert moved["twist"]["twist"]["angular"]["z"] > 0.0
@@ -52,7 +52,7 @@ def wheel_speeds(stage):
     return {name: joint.velocity_rad_s for name, joint in joints.items()}
 
 
-def test_wheels_turn_as_another_node_asks_and_rest_when_it_goes(armed):
+def test_wheels_turn_as_another_node_commands_and_rest_when_it_leaves(armed):
     with peer("joints", f"rt{NAMESPACE}/joint_commands", "right=1.0", "left=2.0"):
         wait_until(
             lambda: wheel_speeds(armed) == pytest.approx({"left": 2.0, "right": 1.0}, abs=0.2),
@@ -62,37 +62,37 @@ def test_wheels_turn_as_another_node_asks_and_rest_when_it_goes(armed):
 
 
 @pytest.mark.parametrize("words", [("left=2.0", "tail=1.0"), ("left=nan",), ("left=2.0", "3600")])
-def test_wheels_that_are_not_known_no_number_or_old_move_nothing(armed, words):
+def test_joint_commands_that_are_unknown_not_finite_or_old_move_nothing(armed, words):
     before, x_m = sent(armed) + refused(armed), armed.sim.truth().x_m
     with peer("joints", f"rt{NAMESPACE}/joint_commands", *words):
         wait_until(lambda: sent(armed) + refused(armed) > before + 10, "commands")
     assert armed.sim.truth().x_m == x_m
 
 
-def test_a_wheel_moves_nothing_that_is_not_armed(stage):
+def test_a_joint_command_moves_nothing_while_disarmed(stage):
     before = sent(stage)
     with peer("joints", f"rt{NAMESPACE}/joint_commands", "left=2.0"):
         wait_until(lambda: sent(stage) > before + 10, "commands")
         assert stage.state() == "idle"
-    nobody_commands(stage)
+    no_source_commands(stage)
 
 
-def test_the_robot_stops_when_the_other_node_goes(armed):
+def test_the_robot_stops_when_the_other_node_leaves(armed):
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
         armed.wait_for("moving")
     wait_until(lambda: armed.sim.truth().at_rest, "the wheels rest")
     armed.wait_for("armed")
 
 
-def test_a_command_moves_nothing_that_is_not_armed(stage):
+def test_a_command_moves_nothing_while_disarmed(stage):
     accepted = inputs(stage)["ros2"]["sent"]
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
         wait_until(lambda: inputs(stage)["ros2"]["sent"] > accepted + 10, "commands")
         assert stage.state() == "idle"
-    nobody_commands(stage)
+    no_source_commands(stage)
 
 
-def test_services_report_what_the_daemon_reports(stage):
+def test_services_answer_with_the_daemons_state_or_refusal(stage):
     answer = called("disarm")
     assert answer["success"]
     assert answer["message"] in ("idle", "configuring")
@@ -105,7 +105,7 @@ def test_services_report_what_the_daemon_reports(stage):
     stage.wait_for("idle")
 
 
-def test_a_service_with_a_switch_arms_and_disarms(stage):
+def test_the_set_armed_service_arms_and_disarms(stage):
     wait_until(lambda: called("set_armed", "SetBool", data=True)["success"], "armed")
     stage.wait_for("armed")
     assert called("set_armed", "SetBool", data=False)["success"]
@@ -113,14 +113,14 @@ def test_a_service_with_a_switch_arms_and_disarms(stage):
 
 
 @pytest.mark.parametrize("how", [(), ("best",)], ids=["reliable", "best effort"])
-def test_a_topic_stops_as_the_service_does(stage, how):
+def test_the_estop_topic_stops_as_the_service_does(stage, how):
     with peer("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", *how):
         stage.wait_for("estop")
     assert "estop: a writer is not served" not in stage.logged()
     released(stage)
 
 
-def test_who_stopped_the_robot_and_why_is_sent_by_name(stage):
+def test_the_node_that_stopped_the_robot_is_named_with_its_reason(stage):
     reason = "input.ros2: by /watcher: 'a person is too close' (process "
 
     def found():
@@ -138,10 +138,10 @@ def test_who_stopped_the_robot_and_why_is_sent_by_name(stage):
     stage.wait_for("idle")
 
 
-def test_what_goes_wrong_is_on_rosout_also_for_who_comes_late(stage):
+def test_errors_are_on_rosout_for_a_late_subscriber_too(stage):
     assert called("estop")["success"]
     with peer("topic", "rt/rosout", "Log", "late") as ear:
-        # the history begins with warnings of the tests before this one
+        # the history begins with warnings of earlier tests
         error = ear.find(
             lambda log: (
                 log["level"] == 40
@@ -154,7 +154,7 @@ def test_what_goes_wrong_is_on_rosout_also_for_who_comes_late(stage):
     stage.wait_for("idle")
 
 
-def test_two_that_command_against_each_other_are_named_with_their_rates(armed):
+def test_two_rival_writers_are_named_with_their_rates(armed):
     topic = f"rt{NAMESPACE}/cmd_vel"
 
     def rivals():
@@ -171,7 +171,7 @@ def test_two_that_command_against_each_other_are_named_with_their_rates(armed):
     wait_until(lambda: not inputs(armed)["ros2"]["rivals"], "the end of the contest")
 
 
-def test_who_comes_late_is_sent_what_the_robot_looks_like(stage):
+def test_a_late_subscriber_gets_the_robot_description(stage):
     with peer("topic", f"rt{NAMESPACE}/robot_description", "String", "late") as ear:
         sent = ear.find(lambda _: True, "the description")
     assert sent["data"].startswith("<robot name=")
@@ -181,7 +181,7 @@ def test_who_comes_late_is_sent_what_the_robot_looks_like(stage):
     assert all(f'<joint name="{name}" type="continuous"' in sent["data"] for name in names)
 
 
-def test_who_comes_late_is_sent_the_frames_that_never_move(stage):
+def test_a_late_subscriber_gets_the_static_frames(stage):
     with peer("topic", "rt/tf_static", "TFMessage", "late") as ear:
         sent = ear.find(lambda _: True, "the frames")
     (frame,) = sent["transforms"]
@@ -189,16 +189,16 @@ def test_who_comes_late_is_sent_the_frames_that_never_move(stage):
     assert frame["child_frame_id"] == "r2/base_footprint"
 
 
-def test_transforms_are_on_the_one_topic_of_all_robots_under_frames_of_their_own(stage):
+def test_transforms_are_on_the_shared_topic_with_the_robots_own_frames(stage):
     with peer("topic", "rt/tf", "TFMessage") as ear:
         (frame,) = ear.find(lambda _: True, "a transform")["transforms"]
     assert frame["header"]["frame_id"] == "r2/odom"
     assert frame["child_frame_id"] == "r2/base_link"
 
 
-def test_the_graph_shows_one_node_with_all_that_it_has(stage):
+def test_the_graph_shows_one_node_with_all_its_endpoints(stage):
     with peer("topic", "ros_discovery_info", "Entities", "late") as ear:
-        # Others may be in the domain: a test's node ends with its last reference.
+        # Other nodes may be in the domain: a test's node ends with its last reference.
         (node,) = ear.find(
             lambda found: [
                 node
@@ -218,7 +218,7 @@ def test_every_endpoint_shows_its_type_and_its_hash(stage):
         arm = eye.find(
             lambda found: (
                 found["topic"].endswith("motord/armRequest")
-                and not found["user_data"].startswith("clientid=")  # of who calls it
+                and not found["user_data"].startswith("clientid=")  # of its callers
             ),
             "arm",
         )
@@ -234,7 +234,7 @@ def describe(type_hash, **more):
 
 
 def hash_of(description):
-    """Of a TypeDescription, as REP-2011 has it."""
+    """The hash of a TypeDescription by REP-2011."""
     described = json.loads(json.dumps(description))
     for one in (described["type_description"], *described["referenced_type_descriptions"]):
         for field in one["fields"]:
@@ -259,7 +259,7 @@ def test_each_type_of_the_node_is_described_by_its_hash(stage):
         assert "builtin_interfaces/Time stamp" in texts["std_msgs/msg/Header"]
 
 
-def test_what_the_node_does_not_have_is_not_described(stage):
+def test_a_type_that_the_node_does_not_use_is_not_described(stage):
     imu = describe(type_hash("sensor_msgs/msg/Imu"))
     assert not imu["successful"]
     assert "no type of this node" in imu["failure_reason"]
@@ -284,7 +284,7 @@ def test_a_limit_is_a_parameter_and_is_changed(stage):
     called("set_parameters", "SetParameters", parameters=[parameter(name, 1.0)])
 
 
-def test_who_listens_is_sent_what_was_changed_and_nothing_of_what_was_refused(stage):
+def test_parameter_events_report_changes_and_no_refused_ones(stage):
     with peer("topic", "rt/parameter_events", "ParameterEvent") as ear:
 
         def sent():
@@ -301,7 +301,7 @@ def test_who_listens_is_sent_what_was_changed_and_nothing_of_what_was_refused(st
         assert (changed["name"], changed["value"]["double_value"]) == ("limits.linear_m_s", 1.0)
 
 
-def test_who_listens_is_sent_of_transitions(stage):
+def test_transitions_are_published_as_events(stage):
     with peer("topic", f"rt{NAMESPACE}/motord/transition_event", "TransitionEvent") as ear:
 
         def sent(label):
@@ -375,15 +375,15 @@ def refused(stage):
     [("nan", "not_finite"), ("-inf", "not_finite"), ("1e308", "out_of_range"),
      ("-10.5", "out_of_range")],
 )  # fmt: skip
-def test_what_is_absurd_moves_nothing_is_counted_and_has_a_name(armed, speed_m_s, counted):
+def test_absurd_commands_move_nothing_and_are_counted_with_their_sender(armed, speed_m_s, counted):
     def count():
         return armed.robot.status()["commands"]["refused"][counted]
 
     before, x_m = count(), armed.sim.truth().x_m
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0, 0, "broken"):
         wait_until(lambda: count() > before + 10, "refusals")
-        # The graph may name it later than its first command comes.
-        wait_until(lambda: "input.ros2: /broken requests " in armed.logged(), "his name")
+        # Its name may arrive later than its first command.
+        wait_until(lambda: "input.ros2: /broken requests " in armed.logged(), "its name")
     assert armed.sim.truth().x_m == x_m
 
 
@@ -398,35 +398,35 @@ def test_old_commands_move_nothing(armed):
 
 
 @pytest.mark.parametrize("age_s", ["zero", "-3600"])
-def test_commands_of_no_known_time_are_refused_at_once(armed, age_s):
+def test_commands_with_an_unusable_stamp_are_refused_at_once(armed, age_s):
     before, x_m = refused(armed), armed.sim.truth().x_m
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0, age_s):
         wait_until(lambda: refused(armed) > before + 10, "refusals")
     assert armed.sim.truth().x_m == x_m
 
 
-def test_a_reader_that_asks_for_more_than_is_offered_is_named(stage):
+def test_a_reader_that_requests_more_than_is_offered_is_named(stage):
     row = f"rt{NAMESPACE}/odom: a reader is not served: it does not go with the durability"
     with peer("topic", f"rt{NAMESPACE}/odom", "Odometry", "late"):
-        wait_until(lambda: row in stage.logged(), "a word on durability")
+        wait_until(lambda: row in stage.logged(), "a log line on durability")
 
 
-def test_a_writer_of_another_type_is_named_with_what_to_write(stage):
+def test_a_writer_of_another_type_is_named_with_the_type_to_use(stage):
     row = (
         f"rt{NAMESPACE}/cmd_vel: a writer of geometry_msgs/msg/Twist is not received:"
         " motord wants geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
     )
     with peer("twist", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
-        wait_until(lambda: row in stage.logged(), "a word on its type")
+        wait_until(lambda: row in stage.logged(), "a log line on its type")
 
 
 def test_a_reader_of_another_type_is_named(stage):
     with peer("topic", f"rt{NAMESPACE}/odom", "JointState"):
         row = f"rt{NAMESPACE}/odom: a reader of sensor_msgs/msg/JointState receives nothing"
-        wait_until(lambda: row in stage.logged(), "a word on its type")
+        wait_until(lambda: row in stage.logged(), "a log line on its type")
 
 
-def test_a_reader_that_hangs_costs_the_others_nothing(stage):
+def test_a_reader_that_hangs_does_not_disturb_the_others(stage):
     topic = ("topic", f"rt{NAMESPACE}/odom", "Odometry")
     with peer(*topic) as hung, peer(*topic) as ear:
         hung.find(lambda _: True, "a sample")

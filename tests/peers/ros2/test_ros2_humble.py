@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The graph as Humble has it, read by a participant that knows Humble's definition."""
+"""The graph of Humble, read by a participant with Humble's definition."""
 
 import pytest
 from tests.peers.ros2.ros2_stage import NAMESPACE, peer, ros2_stage

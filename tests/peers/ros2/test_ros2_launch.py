@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The launch file: run by launch and launch_ros where they are, and by a stand-in of their words
+"""The launch file, run by launch and launch_ros where they are installed, and by a stand-in of them
 elsewhere."""
 
 import importlib.util
@@ -98,8 +98,8 @@ signal.pause()
 
 @pytest.fixture
 def launched(tmp_path):
-    """Launches the file with arguments. The words with which it starts the bridge, and what stands
-    in the parameter files among them."""
+    """Launches the file with arguments. Returns the bridge's command line, and the texts of its
+    parameter files."""
     environ = {**os.environ, **ENVIRON, "ROS_LOG_DIR": str(tmp_path / "log"),
                "AMENT_PREFIX_PATH": str(tmp_path), "FOUND": str(tmp_path / "found")}  # fmt: skip
     imported = subprocess.run(
@@ -145,7 +145,7 @@ def test_launch_starts_the_bridge_with_its_namespace_remaps_and_parameters(launc
     remaps = ["__node:=motord", "__ns:=/r2", "cmd_vel:=/cmd_vel_safe",
               "joint_commands:=joint_commands"]  # fmt: skip
     assert pairs(words, "-r") == remaps
-    assert "robot: '7'" in files[0], "a robot whose name is a number is named by a text"
+    assert "robot: '7'" in files[0], "a robot's name that is a number stays a text"
 
 
 def test_launch_needs_no_arguments(launched):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A lifecycle manager in another process walks the node through all of its states."""
+"""A lifecycle manager in another process takes the node through all of its states."""
 
 import pytest
 from tests.peers.ros2.ros2_stage import NAMESPACE, called, peer, ros2_stage
@@ -17,7 +17,7 @@ def state():
     return called("get_state", "GetState")["current_state"]
 
 
-def test_a_manager_walks_the_node_up_and_down_to_its_end(tmp_path):
+def test_a_lifecycle_manager_takes_the_node_through_all_its_states(tmp_path):
     events = ("topic", f"rt{NAMESPACE}/motord/transition_event", "TransitionEvent")
     with ros2_stage(tmp_path) as stage, peer(*events) as ear:
 
@@ -31,8 +31,8 @@ def test_a_manager_walks_the_node_up_and_down_to_its_end(tmp_path):
             assert changed(1)
             return sent("configure", "configuring")
 
-        wait_until(configured_and_sent, "a word on the configuration")
-        wait_until(lambda: sent("transition_success", "inactive"), "a word on its success")
+        wait_until(configured_and_sent, "a log line on the configuration")
+        wait_until(lambda: sent("transition_success", "inactive"), "a log line on its success")
         assert state() == {"id": 2, "label": "inactive"}
         wait_until(lambda: changed(3), "armed")
         assert state() == {"id": 3, "label": "active"}
@@ -49,4 +49,4 @@ def test_a_manager_walks_the_node_up_and_down_to_its_end(tmp_path):
         assert stage.state() == "idle"
         assert not changed(1)
         assert not changed(3)
-        wait_until(lambda: sent("shutdown", "finalized"), "a word on the end")
+        wait_until(lambda: sent("shutdown", "finalized"), "a log line on the end")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS 2 package of the bridge node: built by colcon and by pip, found by ROS 2's index, with
-nothing in its Python but the standard library (and rclpy, or the stand-in of it)."""
+"""The ROS 2 package of the bridge node: built by colcon and by pip, and found by ROS 2's index. Its
+Python has only the standard library and rclpy, or the stand-in of it."""
 
 import ast
 import os
@@ -67,7 +67,7 @@ def no_ros_environ(**more):
     } | more
 
 
-def test_pip_installs_it_whole_without_anything_else(by_pip):
+def test_pip_installs_the_whole_package_and_nothing_else(by_pip):
     prefix = by_pip.parent.parent
     for name in LAYOUT:
         assert (prefix / name).is_file(), name
@@ -81,8 +81,8 @@ def test_pip_installs_it_whole_without_anything_else(by_pip):
     assert packages.split() == [PACKAGE]
 
 
-def test_what_pip_installed_serves_a_robot(by_pip, tmp_path):
-    """The installed program by its own Python, where nothing else of motord is."""
+def test_the_package_installed_by_pip_serves_a_robot(by_pip, tmp_path):
+    """The installed program runs in its own Python, without the rest of motord."""
     if REAL and FOLDER is None:
         pytest.skip("ROS 2's own Python is another")
     rclpy = tmp_path / "standin"
@@ -113,7 +113,7 @@ def test_what_pip_installed_serves_a_robot(by_pip, tmp_path):
 
 @pytest.mark.skipif(shutil.which("colcon") is None, reason="needs colcon")
 @pytest.mark.parametrize("how", [(), ("--symlink-install",)], ids=["copied", "linked"])
-def test_colcon_builds_it_and_the_index_finds_it(tmp_path, how):
+def test_colcon_builds_the_package_and_the_index_finds_it(tmp_path, how):
     source = shutil.copytree(ROOT / "daemon", tmp_path / "daemon", symlinks=True)
     (tmp_path / "hal").symlink_to(ROOT / "hal")
     environ = no_ros_environ(PATH=f"/usr/bin:/bin:{os.environ['PATH']}")
@@ -132,7 +132,7 @@ def test_colcon_builds_it_and_the_index_finds_it(tmp_path, how):
     assert found.split() == [str(prefix), str(prefix / "share" / PACKAGE)]
 
 
-def test_the_package_reports_of_itself_what_the_project_reports():
+def test_the_packages_metadata_match_the_projects():
     manifest = ET.parse(SOURCE / "package.xml").getroot()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert manifest.findtext("name") == PACKAGE
@@ -149,7 +149,7 @@ def test_the_package_reports_of_itself_what_the_project_reports():
     assert given["license"] == manifest.findtext("license") == project["license"]
 
 
-def test_every_ros_package_that_it_imports_is_a_dependency():
+def test_every_imported_ros_package_is_a_dependency():
     from motord.bus.ros2 import commands
     from motord.bus.ros2.services import lifecycle, parameters
 

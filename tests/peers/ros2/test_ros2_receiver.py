@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cmd_vel past Python: C in motord-bus takes it from DDS to the daemon."""
+"""cmd_vel without Python: C code in motord-bus passes it from DDS to the daemon."""
 
 import os
 import signal
@@ -37,7 +37,7 @@ def bus(stage):
 
 
 def judged(stage):
-    """Commands that the daemon's loop has got, and how many of them it refused for their age."""
+    """Commands that reached the daemon's loop, and how many of them it refused for their age."""
     commands = stage.robot.status()["commands"]
     old = commands["refused"]["age"]
     return commands["accepted"] + sum(commands["refused"].values()) - old, old
@@ -47,12 +47,12 @@ def ours(stage):
     return inputs(stage)["ros2"]
 
 
-def test_c_takes_the_commands(stage):
+def test_c_receives_the_commands(stage):
     assert "goes through Python" not in stage.logged()
 
 
-def test_what_receives_goes_before_python(stage):
-    """By the unit's LimitRTPRIO, or as here from outside."""
+def test_only_the_receiving_thread_has_real_time_priority(stage):
+    """The unit's LimitRTPRIO permits it; here the test sets it from outside."""
     set_policy(os.SCHED_FIFO, REALTIME_PRIORITY_MAX, bus(stage))
     tasks = Path(f"/proc/{bus(stage)}/task").iterdir()
     found = {
@@ -74,7 +74,7 @@ def test_what_receives_goes_before_python(stage):
     ],
     ids=["no stamp", "ahead", "too long"],
 )
-def test_what_the_gate_refuses_is_counted_and_moves_nothing(stage, words, why):
+def test_a_command_refused_by_the_gate_is_counted_and_moves_nothing(stage, words, why):
     wait_until(lambda: called("arm")["success"], "armed")
     before, x_m = ours(stage)["refused"], stage.sim.truth().x_m
 
@@ -91,7 +91,9 @@ def test_what_the_gate_refuses_is_counted_and_moves_nothing(stage, words, why):
     [("nan", 0, "not_finite"), ("-inf", 0, "not_finite"), (1e308, 0, "out_of_range"),
      (0.3, 60, "age")],
 )  # fmt: skip
-def test_what_the_daemon_refuses_is_counted_there_and_moves_nothing(stage, speed, age_s, reason):
+def test_a_command_refused_by_the_daemon_is_counted_there_and_moves_nothing(
+    stage, speed, age_s, reason
+):
     def refused():
         return stage.robot.status()["commands"]["refused"][reason]
 
@@ -103,7 +105,7 @@ def test_what_the_daemon_refuses_is_counted_there_and_moves_nothing(stage, speed
 
 
 def test_commands_by_dds_and_by_python_go_out_under_one_lease(stage):
-    """Joints by Python, cmd_vel by C: no number is used twice."""
+    """Joint commands pass through Python, cmd_vel through C: no sequence number is used twice."""
 
     def out_of_order():
         return stage.robot.status()["commands"]["refused"]["sequence"]
@@ -118,8 +120,8 @@ def test_commands_by_dds_and_by_python_go_out_under_one_lease(stage):
     assert out_of_order() == before
 
 
-def test_commands_end_with_a_python_that_stands_still_and_go_on_with_it(stage):
-    """It would not receive an emergency stop by ROS 2."""
+def test_commands_stop_while_python_stands_still_and_resume_with_it(stage):
+    """A process whose Python stands still would not receive an emergency stop by ROS 2."""
 
     def accepted():
         return stage.robot.status()["commands"]["accepted"]
@@ -131,13 +133,13 @@ def test_commands_end_with_a_python_that_stands_still_and_go_on_with_it(stage):
         pid = bus(stage)
         os.kill(pid, signal.SIGWINCH)
         try:
-            wait_until(lambda: stage.robot.status()["at_rest"], "nobody commands any more")
+            wait_until(lambda: stage.robot.status()["at_rest"], "no source commands")
             before = accepted()
         finally:
             os.kill(pid, signal.SIGUSR2)
         wait_until(lambda: accepted() > before + 5, "commands go on")
     assert bus(stage) == pid
-    wait_until(lambda: ours(stage)["lost"] > lost, "what was lost is counted")
+    wait_until(lambda: ours(stage)["lost"] > lost, "the lost commands are counted")
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ def stage(tmp_path_factory):
         yield stage
 
 
-def test_the_robot_is_driven_and_received_by_its_other_names(stage):
+def test_the_robot_is_driven_and_read_by_its_remapped_names(stage):
     wait_until(lambda: called("up")["success"], "armed")
     with (
         peer("topic", f"rt{NAMESPACE}/wheels/odom", "Odometry") as ear,

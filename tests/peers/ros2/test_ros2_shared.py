@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node that several sections share goes on with the next of them when one fails."""
+"""A node that several sections share stays up when one of them fails."""
 
 import asyncio
 from types import SimpleNamespace
@@ -12,7 +12,7 @@ DEADLINE_S = 30.0
 STRING = "std_msgs/msg/String"
 
 
-async def test_it_goes_on_and_may_be_run_again():
+async def test_a_shared_node_survives_the_end_of_a_section_and_can_run_again():
     node, received = Node("shared", "/shared", DOMAIN, "localhost"), set()
     node.subscribe("words", STRING, lambda message, *_: received.add(message.data))
     sender = node.publisher("words", STRING)

@@ -3,8 +3,8 @@
 //   fastdds_peer DOMAIN odom TOPIC           a line "x v frame child" for each nav_msgs/Odometry
 //   fastdds_peer DOMAIN drive TOPIC V W      20 geometry_msgs/TwistStamped a second
 //   fastdds_peer DOMAIN joints TOPIC L R     20 sensor_msgs/JointState a second: velocities of "left" and "right"
-//   fastdds_peer DOMAIN text TOPIC           how each latched std_msgs/String begins
-//   fastdds_peer DOMAIN say TOPIC TEXT NODE  20 std_msgs/String a second, of a node that the graph has
+//   fastdds_peer DOMAIN text TOPIC           the beginning of each latched std_msgs/String
+//   fastdds_peer DOMAIN say TOPIC TEXT NODE  20 std_msgs/String a second, from NODE in the graph
 //   fastdds_peer DOMAIN ask NAME NODE        a client of the service NAME (std_srvs/Trigger) as rmw_fastrtps makes it, of
 //                                            a node; 20 requests a second, and "READERS WRITERS" of it that it has met
 // c++ -std=c++17 fastdds_peer.cpp -o fastdds_peer -lfastrtps -lfastcdr     (apt install libfastrtps-dev)
@@ -84,7 +84,7 @@ struct TriggerReply {
     static const char *type() { return "std_srvs::srv::dds_::Trigger_Response_"; }
 };
 
-// Of Iron and later: one node that has two endpoints.
+// The graph message of Iron and later: one node with two endpoints.
 struct Entities {
     std::array<uint8_t, 16> gid{};
     std::string node_namespace = "/", node_name;
@@ -178,7 +178,7 @@ template <typename Message> class Type : public TopicDataType {
     bool getKey(void *, InstanceHandle_t *, bool) override { return false; }
 };
 
-// Of this machine alone, and of the first four participants on it.
+// Discovers this machine alone, and the first four participants on it.
 static DomainParticipant *participant(unsigned domain)
 {
     auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();

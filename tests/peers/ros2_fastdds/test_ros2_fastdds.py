@@ -76,11 +76,11 @@ def test_fast_dds_reads_odometry_and_drives_the_robot(fast, stage):
 def test_a_writer_of_another_type_is_named(fast, stage):
     with fast("joints", f"rt{NAMESPACE}/cmd_vel", 1.0, 2.0):
         row = f"rt{NAMESPACE}/cmd_vel: a writer of sensor_msgs/msg/JointState is not received"
-        wait_until(lambda: row in stage.logged(), "a word on its type")
+        wait_until(lambda: row in stage.logged(), "a log line on its type")
 
 
-def test_a_topic_stops_the_robot_and_who_asked_is_named(fast, stage):
-    """The way that is left to who gets no answer of a service."""
+def test_the_estop_topic_stops_the_robot_and_names_the_node(fast, stage):
+    """For a client that gets no answer from a service, as below."""
     reason = "input.ros2: by /watcher: 'a person is too close' (process "
     with fast("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", "watcher"):
         stage.wait_for("estop")
@@ -90,7 +90,7 @@ def test_a_topic_stops_the_robot_and_who_asked_is_named(fast, stage):
     settle(stage)
 
 
-def test_who_comes_late_is_sent_what_the_robot_looks_like(program, stage):
+def test_a_late_subscriber_gets_the_robot_description(program, stage):
     topic = f"rt{NAMESPACE}/robot_description"
     with peer("text", topic, program=(str(program),), decode=str.rstrip) as ear:
         assert ear.find(lambda _: True, "the description") == "<robot name="
@@ -102,16 +102,16 @@ def counts(line):
 
 
 def test_a_service_is_not_available_to_a_client_that_could_not_read_its_answer(program, stage):
-    """It is where there are as many writers of replies as readers of requests: rmw_fastrtps,
-    rmw_service_server_is_available.cpp."""
+    """To rmw_fastrtps a service is available where it has as many writers of replies as readers of
+    requests (rmw_service_server_is_available.cpp)."""
     settle(stage)
     client = ("ask", f"{NAMESPACE}/motord/arm", "panel")
     with peer(*client, program=(str(program),), decode=counts) as asking:
         asking.find(lambda met: met == {"readers": 1, "writers": 2}, "both sides of the service")
         line = f"answers: /panel (Fast DDS) calls {NAMESPACE}/motord/arm: run"
-        wait_until(lambda: line in stage.logged(), "a word on its middleware")
-        assert called("disarm")["success"]  # another middleware does not mind
+        wait_until(lambda: line in stage.logged(), "a log line on its middleware")
+        assert called("disarm")["success"]  # other middleware has no such rule
     assert stage.logged().count("/panel (Fast DDS)") == 1
     assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in stage.logged()
-    assert "deserialization" not in stage.logged()  # a line of the library's for each request
+    assert "deserialization" not in stage.logged()  # the library logs a line for each request
     assert stage.state() == "idle"

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """MOTORD_ROS= python -m tests.peers.ros2_rclpy.make_motord_msgs FOLDER
 
-Builds motord_msgs, as `motord ros2-msgs` writes it, into an environment of the wheels of ROS 2.
-They have the generators of rosidl and no ament_cmake: `rosidl generate` writes the sources, and
-what follows compiles them for the type supports that rmw_fastrtps_cpp uses: its own, and the one
-for introspection, from which that of Jazzy describes a type. With an empty MOTORD_ROS no library of
-the environment is loaded while it is made.
-"""
+Builds motord_msgs, as `motord ros2-msgs` writes it, into an environment of ROS 2 wheels. The wheels
+have the generators of rosidl but no ament_cmake: `rosidl generate` writes the sources, and this
+program compiles them for the two type supports that rmw_fastrtps_cpp uses: its own, and the one for
+introspection, with which Jazzy describes a type. With an empty MOTORD_ROS no library of the
+environment is loaded while it is built."""
 
 import os
 import shutil
@@ -63,7 +62,7 @@ class Build:
         return sorted((self.work / "made" / kind).rglob(pattern))
 
     def library(self, name, sources, *needs):
-        """lib/libPACKAGE__NAME.so; `needs`: of the package's own, by their names."""
+        """Builds lib/libPACKAGE__NAME.so; `needs`: the package's libraries that it links."""
         file = self.folder / "lib" / f"lib{PACKAGE}__{name}.so"
         self.link(file, sources, *needs)
 

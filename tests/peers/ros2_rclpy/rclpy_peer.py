@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node of a real rclpy, in ROS's own Python, without anything of motord. Prints lines of JSON.
+"""A node on a real rclpy, in ROS's own Python, without any part of motord. Prints lines of JSON.
 
-rclpy_peer.py DOMAIN drive NAMESPACE V W   what odom and robot_description have; 20 TwistStamped a
-                                           second on cmd_vel
-rclpy_peer.py DOMAIN watch NAMESPACE       what motor_status has
+rclpy_peer.py DOMAIN drive NAMESPACE V W   prints odom and robot_description; sends 20
+                                           TwistStamped a second on cmd_vel
+rclpy_peer.py DOMAIN watch NAMESPACE       prints motor_status
 rclpy_peer.py DOMAIN say TOPIC TEXT NODE   20 std_msgs/String a second
 rclpy_peer.py DOMAIN wait SERVICE NODE S   a std_srvs/Trigger: whether wait_for_service has found it
                                            in S seconds, then whether the graph lists it

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real rclpy for the tests: that of a ROS 2 which is sourced, or that of the wheels which `make
-build/ros-kilted/made` has installed. `MOTORD_ROS` names another such environment; where it is
-empty, the stand-in is taken.
+"""A real rclpy for the tests: from a sourced ROS 2, or from the wheels that `make
+build/ros-kilted/made` installs. `MOTORD_ROS` names another such environment; if it is empty, the
+stand-in is used.
 
 Programs of such an environment run in its own Python. Its libraries find each other by
-LD_LIBRARY_PATH, which a process reads once, at its start. So that this process is a node too, all
-of them are loaded here before rclpy loads them by name: glibc takes what it has loaded.
-"""
+LD_LIBRARY_PATH, which a process reads once, at its start. This process is a node too, so all of
+them are loaded here before rclpy loads them by name: glibc reuses a library that it has loaded."""
 
 import ctypes
 import importlib.util
@@ -32,7 +31,7 @@ def site_of(folder):
 
 
 def environ_of(folder):
-    """What its wheels would set at each start, and then start again."""
+    """The variables that its wheels would set before they start the program again."""
     libraries = [folder / "lib", *site_of(folder).glob("ros_*.libs")]
     return {
         "LD_LIBRARY_PATH": os.pathsep.join(map(str, libraries)),

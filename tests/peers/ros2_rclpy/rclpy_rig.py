@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Words for tests of the rclpy bridge, with a running robot behind it."""
+"""Messages and calls for tests of the rclpy bridge with a running robot."""
 
 import time
 

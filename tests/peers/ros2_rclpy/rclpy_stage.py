@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A daemon with the bridge node beside it, and an operator's node that meets the bridge. On rclpy
-itself where there is one (rclpy_real); on the stand-in of its API elsewhere."""
+"""A daemon, its bridge node, and an operator's node that talks to the bridge. They run on rclpy
+where it is installed (rclpy_real), and on a stand-in of its API elsewhere."""
 
 import contextlib
 import os
@@ -36,15 +36,15 @@ SETTINGS = (
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 ANSWERS = QoSProfile(depth=100)
-"""An operator's own: what a test loses, the bridge has lost."""
+"""The operator's queue, long enough that only the bridge can lose a message."""
 UNWARNED = pytest.mark.filterwarnings("ignore:Deprecated in favor of:DeprecationWarning")
-"""rclpy itself calls what it deprecates where two qualities of service do not go together."""
+"""rclpy calls its own deprecated code where two qualities of service are incompatible."""
 MODULE = ("-m", "motord.ros2_rclpy")
 
 
 @contextlib.contextmanager
 def ros(folder):
-    """Where nodes meet: their environment."""
+    """The environment in which the nodes discover each other."""
     domain = {
         "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -74,7 +74,7 @@ def ros(folder):
 
 
 class Bridge:
-    """A process, and what it has logged."""
+    """The bridge's process and its log."""
 
     def __init__(self, log, *words, ros_args=(), environ=None, program=MODULE, python=PYTHON):
         self.log = log
@@ -133,7 +133,7 @@ class Operator:
         self.node.destroy_node()
 
     def ask(self, name, kind, **values):
-        """The answer's future."""
+        """The future of the answer."""
         key = (name, kind)
         if key not in self._clients:
             self._clients[key] = self.node.create_client(kind, name, qos_profile=ANSWERS)
@@ -144,12 +144,12 @@ class Operator:
         return answered(self.ask(name, kind, **values), name)
 
     def publisher(self, name, kind, quality=10):
-        """Matched."""
+        """A publisher that has found a subscriber."""
         key = (name, kind)
         if key not in self._publishers:
             self._publishers[key] = self.node.create_publisher(kind, name, quality)
         made = self._publishers[key]
-        wait_until(lambda: made.get_subscription_count() > 0, f"somebody who hears {name}")
+        wait_until(lambda: made.get_subscription_count() > 0, f"a subscriber of {name}")
         return made
 
     def collect(self, name, kind, quality=10):

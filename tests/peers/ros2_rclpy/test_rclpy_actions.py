@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Actions of the bridge node: served as their services and topics, as every ROS 2 client asks."""
+"""Actions of the bridge node, served as the services and topics that every ROS 2 client uses."""
 
 import math
 import uuid
@@ -19,7 +19,7 @@ from unique_identifier_msgs.msg import UUID  # noqa: E402
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 WAITING = 12
-"""For one result: more than a service of rclpy keeps answers by default."""
+"""Requests for one result: more than the answers that a service of rclpy keeps by default."""
 KINDS = {
     "drive_distance": actions.DriveDistance,
     "rotate": actions.Rotate,
@@ -35,7 +35,7 @@ def stage(tmp_path_factory):
 
 @pytest.fixture
 def armed(stage):
-    """A fault that a too busy machine latched meanwhile is reset."""
+    """A fault that a busy machine has latched meanwhile is reset."""
 
     def attempt():
         method = {"fault": "reset", "estop": "reset", "idle": "arm"}.get(stage.state())
@@ -89,7 +89,7 @@ def at_rest(stage):
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
 
 
-def test_a_distance_is_driven_and_sent_on_the_way(armed):
+def test_a_distance_is_driven_with_feedback_while_it_moves(armed):
     kind = actions.DriveDistance.Impl.FeedbackMessage
     received = armed.operator.collect("drive_distance/_action/feedback", kind)
     states = armed.operator.collect("drive_distance/_action/status", GoalStatusArray, LATCHED)
@@ -104,7 +104,7 @@ def test_a_distance_is_driven_and_sent_on_the_way(armed):
     assert received
     assert bytes(received[-1].goal_id.uuid) == bytes(goal.number.uuid)
     wait_until(lambda: states and states[-1].status_list[-1].status == SUCCEEDED, "the state")
-    assert goal.result()[0] == SUCCEEDED  # one that asks again is answered again
+    assert goal.result()[0] == SUCCEEDED  # a repeated request is answered again
 
 
 def test_an_angle_is_turned(armed):
@@ -114,7 +114,7 @@ def test_an_angle_is_turned(armed):
     assert sent.angle_rad == pytest.approx(-0.5, abs=0.021)
 
 
-def test_cancelled_the_robot_comes_to_rest(armed):
+def test_a_cancelled_goal_ends_at_rest(armed):
     goal = Goal(armed, "drive_distance", distance_m=20.0)
     wait_for_motion(armed)
     assert not Goal(armed, "rotate", angle_rad=1.0).accepted
@@ -124,7 +124,7 @@ def test_cancelled_the_robot_comes_to_rest(armed):
     at_rest(armed)
 
 
-def test_a_stop_gets_through_while_many_wait_for_results(armed):
+def test_a_stop_gets_through_while_many_clients_wait_for_results(armed):
     goal = Goal(armed, "drive_distance", distance_m=20.0)
     wait_for_motion(armed)
     waiting = [goal.asked() for _ in range(WAITING)]
@@ -138,7 +138,7 @@ def test_a_stop_gets_through_while_many_wait_for_results(armed):
 
 
 @pytest.mark.parametrize("distance_m", [0.0, math.nan, math.inf])
-def test_a_way_that_is_none_is_refused(armed, distance_m):
+def test_a_distance_that_is_zero_or_not_finite_is_refused(armed, distance_m):
     assert not Goal(armed, "drive_distance", distance_m=distance_m).accepted
     assert armed.sim.truth().at_rest
 
@@ -156,7 +156,7 @@ def test_a_source_of_higher_priority_ends_the_goal(armed):
     at_rest(armed)
 
 
-def test_a_command_of_the_same_input_ends_the_goal(armed):
+def test_a_command_on_the_same_input_ends_the_goal(armed):
     publisher = armed.operator.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
     future = Goal(armed, "drive_distance", distance_m=20.0).asked()
     wait_for_motion(armed)
@@ -165,14 +165,14 @@ def test_a_command_of_the_same_input_ends_the_goal(armed):
     at_rest(armed)
 
 
-def test_a_base_that_cannot_move_sideways_takes_no_goal_that_asks_for_it(armed):
+def test_a_base_that_cannot_move_sideways_refuses_a_sideways_goal(armed):
     goal = Goal(armed, "drive_distance", distance_m=1.0, direction_rad=math.pi / 2)
     assert not goal.accepted
     assert armed.sim.truth().at_rest
     assert armed.operator.call("motord/stop", Trigger).success  # the bridge serves on
 
 
-def test_a_measure_moves_nothing_and_ends_when_it_is_cancelled(armed):
+def test_a_calibration_moves_nothing_and_ends_when_cancelled(armed):
     assert not Goal(armed, "calibrate", quantity="luck", true_distance_m=1.0).accepted
     goal = Goal(armed, "calibrate", quantity="wheel_radius", true_distance_m=0.5)
     assert goal.accepted
@@ -181,7 +181,7 @@ def test_a_measure_moves_nothing_and_ends_when_it_is_cancelled(armed):
     assert goal.result()[0] == CANCELED
 
 
-def test_a_robot_that_is_not_armed_takes_no_goal(stage):
+def test_a_disarmed_robot_refuses_a_goal(stage):
     stage.robot.disarm()
     stage.wait_for("idle")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bridge node of machines with ROS 2 serves what motord-bus serves on DDS."""
+"""On a machine with ROS 2, the bridge node serves what motord-bus serves on DDS."""
 
 import contextlib
 import math
@@ -54,7 +54,7 @@ def armed(stage):
     wait_until(lambda: trigger(stage, "arm")[0] or not trigger(stage, "reset"), "armed")
 
 
-def test_services_answer_with_the_state_or_with_why_not(stage):
+def test_services_answer_with_the_state_or_the_reason(stage):
     armed(stage)
     assert trigger(stage, "estop") == (True, "estop")
     done, why = trigger(stage, "arm")
@@ -69,12 +69,12 @@ def test_services_answer_with_the_state_or_with_why_not(stage):
     assert (answer.success, answer.message) == (True, "idle")
 
 
-def test_every_service_of_the_daemon_is_there(stage):
+def test_every_service_of_the_daemon_is_served(stage):
     for method in TRIGGERS:
         assert "unknown" not in trigger(stage, method)[1].lower()
 
 
-def test_commands_move_the_robot_under_the_inputs_own_lease(stage):
+def test_commands_move_the_robot_under_the_lease_of_the_input(stage):
     armed(stage)
     publisher = stage.operator.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
     drive_until(stage, publisher, lambda: twist(0.2), lambda: stage.state() == "moving", "moving")
@@ -83,7 +83,7 @@ def test_commands_move_the_robot_under_the_inputs_own_lease(stage):
     stage.wait_for("armed", "fault")
 
 
-def test_a_speed_sideways_reaches_the_daemon_which_counts_that_the_base_cannot(stage):
+def test_a_sideways_speed_reaches_the_daemon_which_counts_it_as_impossible(stage):
     armed(stage)
     publisher = stage.operator.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
 
@@ -136,7 +136,7 @@ def test_wheels_are_commanded_by_their_names(stage):
     stage.wait_for("armed", "fault")
 
 
-def test_a_command_that_waited_somewhere_is_refused_by_the_loop(stage):
+def test_a_delayed_command_is_refused_by_the_loop(stage):
     armed(stage)
     publisher = stage.operator.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
 
@@ -151,7 +151,7 @@ def test_a_command_that_waited_somewhere_is_refused_by_the_loop(stage):
 @pytest.mark.parametrize(
     ("stamp", "why"), [((0, 0), "zero"), ((2**31 - 1, 0), "future")], ids=["zero", "future"]
 )
-def test_a_command_whose_age_cannot_be_known_is_not_passed_on(stage, stamp, why):
+def test_a_command_with_an_unusable_stamp_is_not_passed_on(stage, stamp, why):
     armed(stage)
     publisher = stage.operator.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
     before = stage.robot.status()["commands"]
@@ -163,12 +163,12 @@ def test_a_command_whose_age_cannot_be_known_is_not_passed_on(stage, stamp, why)
 
     for _ in range(20):
         publisher.publish(bad())
-    assert trigger(stage, "stop")[0]  # what was published before has been looked at
+    assert trigger(stage, "stop")[0]  # the bridge has handled the messages published before
     assert stage.robot.status()["commands"] == before
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_what_is_no_number_moves_nothing(stage, value):
+def test_a_command_that_is_not_finite_moves_nothing(stage, value):
     armed(stage)
     publisher = stage.operator.publisher("cmd_vel", T.TwistStamped, BEST_EFFORT)
 
@@ -181,7 +181,7 @@ def test_what_is_no_number_moves_nothing(stage, value):
 
 
 @pytest.mark.parametrize("quality", [10, BEST_EFFORT], ids=["reliable", "best effort"])
-def test_an_emergency_stop_is_a_topic_too_and_names_who_asked(stage, quality):
+def test_the_estop_topic_stops_and_names_the_node(stage, quality):
     with operator("person") as person:
         publisher = person.publisher("motord/estop", T.String, quality)
         within_s = 5.0 if quality is BEST_EFFORT else DEADLINE_S
@@ -245,7 +245,7 @@ def test_robot_parameters_are_listed_read_and_set_with_reasons(stage):
         assert why in reason
 
 
-def test_a_manager_walks_the_life_cycle(stage):
+def test_a_manager_takes_the_bridge_through_the_life_cycle(stage):
     ask = stage.operator.call
     events = stage.operator.collect("motord/transition_event", T.TransitionEvent)
 
@@ -289,8 +289,8 @@ def test_an_estop_is_an_error_for_a_manager_and_no_transition_leads_out_of_it(st
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_bridge_that_ends_loses_its_lease_and_the_robot_rests(stage, tmp_path, number):
-    """Beside the other one, under the same name."""
+def test_the_end_of_a_bridge_ends_its_lease_and_the_robot_rests(stage, tmp_path, number):
+    """Runs beside the other bridge, under the same name."""
     armed(stage)
     with bridge(
         tmp_path, "--socket", stage.socket, "--unstamped",
@@ -306,12 +306,12 @@ def test_a_bridge_that_ends_loses_its_lease_and_the_robot_rests(stage, tmp_path,
         drive_until(stage, publisher, onward, lambda: stage.state() == "moving", "moving")
         other.process.send_signal(number)
         assert other.wait() == (0 if number == signal.SIGTERM else -signal.SIGKILL), other.logged()
-    wait_until(lambda: not stage.robot.status()["leases"], "nobody in command")
+    wait_until(lambda: not stage.robot.status()["leases"], "no source in command")
     stage.wait_for("armed", "fault")
     wait_until(lambda: stage.sim.truth().at_rest, "rest")
 
 
-def test_what_waited_while_the_bridge_stood_still_moves_nothing(stage, tmp_path):
+def test_commands_queued_while_the_bridge_stood_still_move_nothing(stage, tmp_path):
     armed(stage)
     with bridge(
         tmp_path, "--socket", stage.socket, "--unstamped",
@@ -324,7 +324,7 @@ def test_what_waited_while_the_bridge_stood_still_moves_nothing(stage, tmp_path)
             return stage.robot.status()["commands"]["accepted"]
 
         def looked_at():
-            """What was published before has been taken or refused."""
+            """The bridge has accepted or refused all messages published before."""
             assert stage.operator.call("third/stop", Trigger).success
             return accepted()
 
@@ -342,7 +342,7 @@ def test_what_waited_while_the_bridge_stood_still_moves_nothing(stage, tmp_path)
         assert stage.state() != "moving"
 
 
-def test_a_command_without_a_stamp_is_not_taken_where_one_is_wanted(stage):
+def test_an_unstamped_command_does_not_arrive_where_stamps_are_required(stage):
     """Another type on the same topic: it does not arrive."""
     armed(stage)
     before = stage.robot.status()["commands"]
@@ -354,5 +354,5 @@ def test_a_command_without_a_stamp_is_not_taken_where_one_is_wanted(stage):
     assert stage.robot.status()["commands"] == before
 
 
-def test_it_is_no_bus_of_the_second_process(stage):
+def test_a_bridge_is_not_a_bus_of_motord_bus(stage):
     assert stage.robot.status()["bus"] is None

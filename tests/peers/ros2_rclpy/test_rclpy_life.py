@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bridge node's life: daemons that come, go and come back, and what it is started with."""
+"""Life of the bridge node: daemons that start, end and restart, and its arguments."""
 
 import contextlib
 import os
@@ -27,7 +27,7 @@ from motord.ros2_rclpy.__main__ import options_of
 
 @contextlib.contextmanager
 def restarted(stage, *settings, number=signal.SIGKILL):
-    """Killed in motion, and started at the same place."""
+    """Kills the daemon in motion, and starts it again with the same files."""
     stage.end(number)
     daemon = again(stage, *settings)
     try:
@@ -55,7 +55,7 @@ def test_after_a_restart_nothing_moves_before_it_is_armed_again(tmp_path):
             assert stage.state() == "idle"
             assert stage.sim.truth().at_rest
 
-            # It commands motion all the while: it has to command rest before a program can arm.
+            # The bridge still commands motion: it has to command rest before a program can arm.
             future = stage.operator.ask("motord/arm", Trigger)
             drive_until(stage, publisher, lambda: twist(0.2), future.done, "an answer")
             assert not future.result().success
@@ -80,13 +80,13 @@ def test_a_daemon_with_another_robot_file_is_not_commanded(tmp_path):
         assert not stage.robot.status()["leases"]
 
 
-def test_it_waits_for_a_daemon_and_reports_so_once(tmp_path):
+def test_it_waits_for_a_daemon_and_logs_that_once(tmp_path):
     with (
         ros(tmp_path),
         bridge(tmp_path, "--socket", tmp_path / "daemon.sock") as waiting,
         operator() as person,
     ):
-        wait_until(lambda: "waiting for a daemon" in waiting.logged(), "a word")
+        wait_until(lambda: "waiting for a daemon" in waiting.logged(), "the message")
         with running(tmp_path, *SETTINGS) as stage:
             stage.bridge, stage.operator = waiting, person
             stage.wait_for("idle")
@@ -94,8 +94,8 @@ def test_it_waits_for_a_daemon_and_reports_so_once(tmp_path):
             assert waiting.logged().count("waiting for a daemon") == 1
 
 
-def test_what_it_is_started_with(tmp_path):
-    """An input of no known kind; a file of parameters; types of ours that were not built."""
+def test_its_arguments_and_parameter_files_are_checked_and_applied(tmp_path):
+    """An unknown input or parameter, a parameter file, and message types that were not built."""
     file = tmp_path / "bridge.yaml"
     file.write_text(
         "/**:\n  ros__parameters:\n    input: ros\n    limits:\n      linear_m_s: 0.3\n"
@@ -118,7 +118,7 @@ def test_what_it_is_started_with(tmp_path):
                 f"the limit of the file\n{other.logged()}",
             )
             if not REAL:
-                wait_until(lambda: "no motord_msgs in this ROS 2" in other.logged(), "a word")
+                wait_until(lambda: "no motord_msgs in this ROS 2" in other.logged(), "the message")
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_what_it_is_started_with(tmp_path):
         ({"limits.linear_m_s": True}, "a number, not True"),
     ],
 )
-def test_a_parameter_that_is_none_is_named(parameters, why):
+def test_an_unknown_or_wrong_parameter_is_named(parameters, why):
     with pytest.raises(ValueError, match=why):
         options_of(parameters)
 
@@ -145,8 +145,8 @@ def test_parameters_of_the_node_are_requests():
     assert options.limits == {"limits.linear_m_s": 1.0}
 
 
-def test_it_needs_the_standard_library_alone():
-    """ROS brings its own Python, without what motord needs elsewhere."""
+def test_it_needs_only_the_standard_library():
+    """ROS has its own Python, without motord's dependencies."""
     path = os.pathsep.join(str(ROOT / folder) for folder in ("daemon", "hal"))
     run = subprocess.run(
         [sys.executable, "-S", "-c", "import motord.ros2_rclpy.bridge, motord.ros2_rclpy.__main__"],
@@ -156,7 +156,7 @@ def test_it_needs_the_standard_library_alone():
 
 
 @pytest.mark.skipif(REAL, reason="ROS 2 is here")
-def test_without_ros_it_reports_so():
+def test_without_ros_it_exits_with_the_reason():
     run = subprocess.run(
         [sys.executable, "-m", "motord.ros2_rclpy"], capture_output=True, timeout=DEADLINE_S
     )

@@ -60,7 +60,7 @@ def test_each_type_has_the_hash_that_ros_2_computes(distribution):
 
 def test_a_node_reads_odometry_and_drives_the_robot(node, stage):
     def attempt():
-        """A fault that a too busy machine latched meanwhile is reset."""
+        """A fault that a busy machine has latched meanwhile is reset."""
         state = stage.state()
         if state in ("fault", "estop"):
             stage.robot.reset()
@@ -79,13 +79,13 @@ def test_a_node_reads_odometry_and_drives_the_robot(node, stage):
     settle(stage)
 
 
-def test_a_node_reads_a_message_of_motord_s_own(node, stage):
+def test_a_node_reads_one_of_motords_own_messages(node, stage):
     with node("watch", NAMESPACE) as watcher:
         status = watcher.find(lambda sent: sent.get("state") == "idle", "its state")
     assert status["setpoint_rad_s"] == {"left": 0.0, "right": 0.0}
 
 
-def test_a_topic_stops_the_robot_and_names_the_node(node, stage):
+def test_the_estop_topic_stops_the_robot_and_names_the_node(node, stage):
     reason = "input.ros2: by /watcher: 'a person is too close' (process "
     with node("say", f"{NAMESPACE}/motord/estop", "a person is too close", "watcher"):
         stage.wait_for("estop")
@@ -103,6 +103,6 @@ def test_wait_for_service_ends_at_its_time_out_and_the_client_is_named(node, sta
         listed = client.find(lambda sent: "listed" in sent, "the service in the graph")
         assert listed == {"listed": True, "available": False}
         line = f"answers: /{name} (Fast DDS) calls {NAMESPACE}/motord/arm: run"
-        wait_until(lambda: line in stage.logged(), "a word on its middleware")
+        wait_until(lambda: line in stage.logged(), "a log line on its middleware")
     assert "deserialization" not in stage.logged()
     assert stage.state() == "idle"

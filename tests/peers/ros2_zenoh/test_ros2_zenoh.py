@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our ROS 2 node on Zenoh, seen by another session through a router of another process. That one
-encodes and decodes with rosbags, and knows keys and tokens from rmw_zenoh's design document."""
+"""Our ROS 2 node on Zenoh, tested by another session through a router in another process. The other
+session encodes and decodes with rosbags, and takes keys and tokens from rmw_zenoh's design
+document."""
 
 import asyncio
 import signal
@@ -46,7 +47,7 @@ LONG_BYTES = 20_000
 
 
 def sockets_hold_bytes():
-    """What a TCP connection holds at most in both of its sockets."""
+    """The most bytes that a TCP connection buffers in both of its sockets."""
     names = ("tcp_wmem", "tcp_rmem")
     return sum(int(Path("/proc/sys/net/ipv4", name).read_text().split()[2]) for name in names)
 
@@ -78,7 +79,7 @@ def twist(linear_m_s):
     return bytes(STORE.serialize_cdr(message, TWIST))
 
 
-async def test_humble_receives_and_calls_by_keys_without_hashes():
+async def test_a_humble_peer_subscribes_and_calls_by_keys_without_hashes():
     port, unhashed = free_port(), "TypeHashNotSupported"
     async with router(port):
         robot = Robot(port, distribution="humble")
@@ -119,7 +120,7 @@ async def test_other_nodes_see_the_node_its_topics_and_its_service():
             await until(lambda: not tokens.alive)
 
 
-async def test_a_message_arrives_as_another_decoder_reads_it_with_its_publishers_gid():
+async def test_another_decoder_reads_a_message_and_its_publishers_gid():
     port = free_port()
     async with router(port):
         robot = Robot(port)
@@ -142,7 +143,7 @@ async def test_a_message_arrives_as_another_decoder_reads_it_with_its_publishers
             kept.undeclare()
 
 
-async def test_how_long_a_message_waited_is_sent_by_its_senders_clock():
+async def test_the_age_of_a_message_is_measured_by_its_senders_clock():
     port, waited_s = free_port(), []
     async with router(port):
         node = ZenohNode("base", "/r2", 3, Router(endpoint=endpoint(port)))
@@ -162,7 +163,7 @@ async def test_how_long_a_message_waited_is_sent_by_its_senders_clock():
     assert waited_s[2] > 20.0
 
 
-async def test_a_message_is_sent_with_the_name_of_its_node():
+async def test_a_message_arrives_with_the_name_of_its_node():
     port, senders = free_port(), []
     async with router(port):
         ear = ZenohNode("base", "/r2", 3, Router(endpoint=endpoint(port)))
@@ -179,7 +180,7 @@ async def test_a_message_is_sent_with_the_name_of_its_node():
             await until(named)
 
 
-async def test_a_twist_of_another_node_arrives_and_what_is_none_does_not():
+async def test_a_twist_of_another_node_arrives_and_a_malformed_one_does_not():
     port = free_port()
     async with router(port):
         robot = Robot(port)
@@ -194,7 +195,7 @@ async def test_a_twist_of_another_node_arrives_and_what_is_none_does_not():
                 assert [message.linear.x for message in robot.received] == [0.25]
 
 
-async def test_a_service_answers_with_the_questions_number_and_gid():
+async def test_a_service_answers_with_the_number_and_gid_of_the_request():
     port = free_port()
     async with router(port):
         robot = Robot(port)
@@ -222,7 +223,7 @@ async def test_a_service_answers_with_the_questions_number_and_gid():
         (STOP_KEY, {"payload": b"\x00\x01\x00\x00", "attachment": attached()}),
     ],
 )
-async def test_what_is_no_request_calls_nothing_and_is_refused(key, text):
+async def test_a_malformed_request_calls_nothing_and_is_refused(key, text):
     port = free_port()
     async with router(port):
         robot = Robot(port)
@@ -237,7 +238,7 @@ async def test_what_is_no_request_calls_nothing_and_is_refused(key, text):
                 assert robot.stops == 0
 
 
-async def test_who_comes_late_is_sent_what_is_latched():
+async def test_a_late_subscriber_gets_the_latched_message():
     port = free_port()
     async with router(port):
         robot = Robot(port, Quality(depth=1, latched=True))
@@ -260,7 +261,7 @@ async def test_who_comes_late_is_sent_what_is_latched():
                 kept.undeclare()
 
 
-async def test_a_router_that_comes_late_or_comes_back_finds_the_node():
+async def test_a_router_that_starts_late_or_restarts_finds_the_node():
     port = free_port()
     robot = Robot(port)
     async with running(robot.node):
@@ -277,7 +278,7 @@ async def test_a_router_that_comes_late_or_comes_back_finds_the_node():
                     assert robot.stops == before + 1
 
 
-async def test_a_router_that_hangs_costs_samples_and_not_the_connection():
+async def test_a_router_that_hangs_loses_samples_but_not_the_connection():
     port = free_port()
     async with router(port) as process:
         robot = Robot(port)

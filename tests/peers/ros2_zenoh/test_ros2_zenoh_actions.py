@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Actions by ROS 2's ways over a real Zenoh router: requested by another session, whose messages
-another encoder makes."""
+"""ROS 2 actions over a real Zenoh router, requested by a session with another encoder."""
 
 import threading
 
@@ -115,7 +114,7 @@ def test_a_distance_is_driven_with_feedback_and_a_result(robot):
     assert client.feedback[-1].distance_m > client.feedback[0].distance_m
 
 
-def test_a_goal_is_cancelled_while_something_waits_for_its_result(robot):
+def test_a_goal_is_cancelled_while_a_client_waits_for_its_result(robot):
     stage, driver = robot
     with armed(stage, driver):
         client, results = Client(driver.session, 2), []
@@ -130,14 +129,14 @@ def test_a_goal_is_cancelled_while_something_waits_for_its_result(robot):
         wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
 
 
-def test_a_robot_that_is_not_armed_takes_no_goal(robot):
+def test_a_disarmed_robot_refuses_a_goal(robot):
     stage, driver = robot
     stage.wait_for("idle")
     assert not Client(driver.session, 3).send(0.3)
     assert stage.state() == "idle"
 
 
-def test_a_goal_that_nothing_knows_has_no_result_and_is_not_cancelled(robot):
+def test_an_unknown_goal_has_no_result_and_is_not_cancelled(robot):
     _, driver = robot
     client = Client(driver.session, 4)
     assert client.result().status == 0

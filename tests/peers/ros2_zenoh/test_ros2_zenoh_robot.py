@@ -11,7 +11,7 @@ from motord.bus.messages.table import type_hash
 __all__ = ["robot"]
 
 
-def test_another_node_arms_drives_and_receives_the_distance(robot):
+def test_another_node_arms_the_robot_drives_it_and_reads_the_distance(robot):
     stage, driver = robot
     with armed(stage, driver):
         before_m = driver.received[-1].pose.pose.position.x
@@ -21,14 +21,14 @@ def test_another_node_arms_drives_and_receives_the_distance(robot):
         assert driver.received[-1].header.frame_id == "r2/odom"
 
 
-def test_the_robot_stops_when_the_other_node_reports_nothing_more(robot):
+def test_the_robot_stops_when_the_other_node_stops_sending(robot):
     stage, driver = robot
     with armed(stage, driver):
         driver.drive_until(lambda: stage.state() == "moving", "moving")
         stage.wait_for("armed")
 
 
-def test_a_command_moves_nothing_that_is_not_armed(robot):
+def test_a_command_moves_nothing_while_disarmed(robot):
     stage, driver = robot
     sent = figures(stage)["sent"]
     states = set()
@@ -41,7 +41,7 @@ def test_a_command_moves_nothing_that_is_not_armed(robot):
     assert states == {"idle"}
 
 
-def test_a_command_that_waited_somewhere_moves_nothing(robot):
+def test_a_delayed_command_moves_nothing(robot):
     stage, driver = robot
     with armed(stage, driver):
         sent = figures(stage)["sent"]
@@ -55,7 +55,7 @@ def test_a_command_that_waited_somewhere_moves_nothing(robot):
         assert states == {"armed"}
 
 
-def test_an_emergency_stop_is_latched_and_arming_reports_why_not(robot):
+def test_an_emergency_stop_is_latched_and_arming_is_refused_with_the_reason(robot):
     stage, driver = robot
     assert driver.call("estop").success
     stage.wait_for("estop")
@@ -67,8 +67,8 @@ def test_an_emergency_stop_is_latched_and_arming_reports_why_not(robot):
 
 
 def asked(driver, name, service, request, response):
-    """Call a service of the node, its messages by the other encoder: `request` is a definition and
-    its values, `response` a definition."""
+    """Call a service of the node with the other encoder: `request` is a definition and its values,
+    `response` a definition."""
     package, short = service.split("/")
     key = f"5/r2/motord/{name}/{package}::srv::dds_::{short}_/{type_hash(f'{package}/srv/{short}')}"
     store = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
@@ -132,7 +132,7 @@ def test_the_life_cycle_is_inactive_while_disarmed_and_active_while_armed(robot)
         wait_until(lambda: label() == "active", "active")
 
 
-def test_a_publisher_of_another_type_is_named_with_what_to_write(robot):
+def test_a_publisher_of_another_type_is_named_with_the_type_to_use(robot):
     stage, driver = robot
     quality = f"geometry_msgs::msg::dds_::Twist_/RIHS01_{'0' * 64}/::,10:,:,:,,"
     token = f"@ros2_lv/5/{driver.session.zid()}/0/9/MP/%/%r2/teleop/%r2%cmd_vel/{quality}"
@@ -145,5 +145,5 @@ def test_a_publisher_of_another_type_is_named_with_what_to_write(robot):
                 )
                 in stage.logged()
             ),
-            "a word on its type",
+            "a log line on its type",
         )

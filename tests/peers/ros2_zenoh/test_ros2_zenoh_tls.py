@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A router lets in only who shows a certificate, and a node trusts only its own."""
+"""A router accepts only nodes with a certificate, and a node trusts only its own router."""
 
 import shutil
 import subprocess
@@ -16,7 +16,7 @@ KEY = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
 
 
 def certified(folder):
-    """An authority, and certificates by it: the router's and the node's."""
+    """Makes a certificate authority, and its certificates for router and node."""
 
     def openssl(*words):
         subprocess.run(["openssl", *words], check=True, cwd=folder, capture_output=True, timeout=60)
@@ -48,7 +48,7 @@ def authorities(tmp_path_factory):
     return folders
 
 
-async def test_a_node_with_a_certificate_is_let_in_and_one_without_is_not(authorities, caplog):
+async def test_a_node_connects_only_with_a_certificate(authorities, caplog):
     ours, theirs = authorities
     plain, tls = free_port(), free_port()
     async with router(plain, tls, ours):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Zenoh router with another node in it: prints the stamp of each odometry that comes, and gives a
-command for each line of its input, a speed in m/s.
+"""A Zenoh router and another node in one process: prints the stamp of each odometry message, and
+sends a command for each line of its input, a speed in m/s.
 
 python -m tests.peers.ros2_zenoh.zenoh_far HOST:PORT FOLDER: by TLS, with host.pem and
 host.key in that folder.

@@ -50,7 +50,7 @@ async def running(node):
 
 
 class Tokens:
-    """Who is there, by the word of the router."""
+    """The endpoints that the router reports."""
 
     def __init__(self, session):
         self.alive = set()
@@ -76,7 +76,7 @@ def attached(sequence=1):
 
 
 def ask(session, key, target=zenoh.QueryTarget.ALL_COMPLETE, **more):
-    """In a thread: it waits for all answers."""
+    """Blocks until all answers are there: call it in a thread."""
     return list(session.get(key, target=target, timeout=10.0, **more))
 
 

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A Zenoh router in a process of its own, to be killed and started again.
 
-zenoh_router.py PORT [TLS_PORT FOLDER]: by TLS it lets in who shows a certificate of its authority.
-"""
+zenoh_router.py PORT [TLS_PORT FOLDER]: by TLS it accepts only its authority's clients."""
 
 import asyncio
 import contextlib
@@ -38,7 +37,7 @@ async def router(port, *tls):
 
 @contextlib.contextmanager
 def started(port, *tls):
-    """The same, not waited for."""
+    """The same, without waiting until it listens."""
     command = [sys.executable, __file__, *map(str, (port, *tls))]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         try:

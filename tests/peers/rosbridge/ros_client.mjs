@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A program as its users write it, on roslibjs: node ros_client.mjs URL ROSLIB. Prints what it saw.
+// A user's program on roslibjs: node ros_client.mjs URL ROSLIB. Prints what it received.
 // ROSLIB: the library's file.
 
 const WITHIN_MS = 30000;
@@ -55,7 +55,7 @@ seen.estop = await trigger("/estop");
 drive(0);
 const end = Date.now() + WITHIN_MS;
 do {
-  seen.reset = await trigger("/reset"); // until the zero is there
+  seen.reset = await trigger("/reset"); // retried until the zero command has arrived
 } while (!seen.reset.success && Date.now() < end);
 console.log(JSON.stringify(seen));
 ros.close();

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A program as its users write it, on roslibpy: python ros_client.py URL. Prints what it saw. With
-VX VY behind the URL it commands these until it is killed."""
+"""A user's program on roslibpy: python ros_client.py URL. Prints what it received. With VX VY after
+the URL it commands these until it is killed."""
 
 import json
 import sys

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rosbridge server: a program on roslibpy drives the robot; strangers and slow readers cost
-nothing."""
+"""The rosbridge server: a roslibpy program drives the robot; strangers and slow readers do no
+harm."""
 
 import asyncio
 import contextlib
@@ -58,7 +58,7 @@ def bus(stage):
 
 
 async def exchanged(port, *requests, until, token=None):
-    """Send the requests; the first answer that is it."""
+    """Sends the requests; returns the first answer for which `until` is true."""
     query = f"?token={token}" if token else ""
     async with asyncio.timeout(DEADLINE_S):
         async with connect(f"ws://127.0.0.1:{port}/{query}") as client:
@@ -81,7 +81,7 @@ PROGRAMS = {
 
 
 @pytest.mark.parametrize("library", sorted(PROGRAMS))
-def test_a_program_on_it_reads_arms_drives_and_stops_the_robot(stage, ports, library):
+def test_a_client_program_reads_arms_drives_and_stops_the_robot(stage, ports, library):
     command = [*PROGRAMS[library], f"ws://127.0.0.1:{ports[0]}/?token={TOKEN}"]
     if library == "roslibjs":
         if not (shutil.which("node") and ROSLIBJS.exists()):
@@ -117,25 +117,25 @@ async def test_wheels_are_commanded_by_the_joints_names(stage, ports):
                     wait_until(armed, "armed")
                 await client.send(json.dumps(message))
                 await asyncio.sleep(0.05)
-    stage.wait_for("armed", "fault")  # of a busy machine
+    stage.wait_for("armed", "fault")  # a fault of a busy machine
     stage.robot.disarm()
 
 
-async def test_what_is_not_taken_is_answered_with_what_is(stage, ports):
+async def test_a_topic_that_is_not_an_input_is_answered_with_those_that_are(stage, ports):
     request = {"op": "publish", "topic": "/odom", "msg": {}}
     answer = await exchanged(ports[0], request, until=is_status, token=TOKEN)
     assert answer["msg"] == "'odom' is not taken; there are: cmd_vel, joint_commands"
 
 
 @pytest.mark.parametrize("query", ["", "?token=", "?token=wrong-token-of-some-length"])
-async def test_who_has_no_token_does_not_even_connect(stage, ports, query):
+async def test_a_client_without_the_token_cannot_connect(stage, ports, query):
     with pytest.raises(InvalidStatus, match="401"):
         async with connect(f"ws://127.0.0.1:{ports[0]}/{query}"):
             pass
 
 
-async def test_strangers_who_report_nothing_make_room_for_who_has_the_token(tmp_path, monkeypatch):
-    monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)  # none goes because it is silent
+async def test_silent_strangers_make_room_for_a_client_with_the_token(tmp_path, monkeypatch):
+    monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)  # silence closes none
     port, count = free_port(), 3 * http_server.STRANGERS_MAX
     section = RosbridgeInput(kind="rosbridge", token_file=str(token_file(tmp_path)), port=port)
     runtime = Runtime(load_robot(DEMO), tmp_path / "no.sock")
@@ -161,7 +161,7 @@ async def stranger(port):
     return await asyncio.open_connection("127.0.0.1", port)
 
 
-async def test_the_token_may_stand_in_the_header(stage, ports):
+async def test_the_token_may_be_in_the_header(stage, ports):
     headers = {"Authorization": f"Bearer {TOKEN}"}
     async with connect(f"ws://127.0.0.1:{ports[0]}/", additional_headers=headers) as client:
         await client.send(json.dumps({"op": "subscribe", "topic": "/odom"}))
@@ -185,16 +185,14 @@ TWIST = {"linear": {"x": 0.2, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.
         ([1], "JSON object"),
     ],
 )
-async def test_a_server_that_only_publishes_reports_what_it_does_not_do(
-    stage, ports, request_, words
-):
+async def test_a_publish_only_server_names_what_it_does_not_serve(stage, ports, request_, words):
     accepted = stage.robot.status()["commands"]["accepted"]
     answer = await exchanged(ports[1], request_, until=is_status)
     assert words in answer["msg"]
     assert stage.robot.status()["commands"]["accepted"] == accepted
 
 
-async def test_a_service_of_a_server_that_only_reports_does_nothing(stage, ports):
+async def test_a_service_of_a_publish_only_server_does_nothing(stage, ports):
     request = {"op": "call_service", "service": "/arm", "id": "1"}
     answer = await exchanged(ports[1], request, until=lambda one: one["op"] == "service_response")
     assert (answer["result"], answer["id"]) == (False, "1")
@@ -202,7 +200,7 @@ async def test_a_service_of_a_server_that_only_reports_does_nothing(stage, ports
 
 
 @pytest.mark.parametrize("throttle", [10**400, -1, "1", None, [[]]])
-async def test_a_throttle_that_is_none_is_none(stage, ports, throttle):
+async def test_an_invalid_throttle_rate_is_ignored(stage, ports, throttle):
     request = {"op": "subscribe", "topic": "/tf", "throttle_rate": throttle}
     assert (await exchanged(ports[1], request, until=lambda one: True))["topic"] == "/tf"
 
@@ -210,15 +208,13 @@ async def test_a_throttle_that_is_none_is_none(stage, ports, throttle):
 @pytest.mark.parametrize(
     "message", [None, {}, {"linear": {"x": "1"}, "angular": {"z": 0}}, {"linear": 3, "angular": 1}]
 )
-async def test_a_message_that_is_no_twist_is_refused(stage, ports, message):
+async def test_a_message_that_is_not_a_twist_is_refused(stage, ports, message):
     request = {"op": "publish", "topic": "/cmd_vel", "msg": message}
     answer = await exchanged(ports[0], request, until=is_status, token=TOKEN)
     assert "no Twist" in answer["msg"]
 
 
-async def test_an_emergency_stop_behind_a_heap_of_calls_is_obeyed_and_each_is_answered(
-    stage, ports
-):
+async def test_an_emergency_stop_behind_many_calls_stops_and_every_call_is_answered(stage, ports):
     calls = [{"op": "call_service", "service": "/reset_odometry", "id": n} for n in range(60)]
     calls.append({"op": "call_service", "service": "/estop", "id": len(calls)})
     answers = {}
@@ -236,7 +232,7 @@ async def test_an_emergency_stop_behind_a_heap_of_calls_is_obeyed_and_each_is_an
     stage.wait_for("idle")
 
 
-async def test_a_client_is_sent_no_faster_than_it_asked_for(stage, ports):
+async def test_a_client_gets_messages_no_faster_than_its_throttle_rate(stage, ports):
     request = {"op": "subscribe", "topic": "/odom", "throttle_rate": 200}
     stamps = []
     async with asyncio.timeout(DEADLINE_S):
@@ -250,7 +246,7 @@ async def test_a_client_is_sent_no_faster_than_it_asked_for(stage, ports):
     assert stamps[-1] - stamps[0] > 0.3
 
 
-async def test_a_reader_that_stops_reading_costs_messages_and_nothing_else_anything(stage, ports):
+async def test_a_reader_that_stops_reading_loses_messages_and_disturbs_nothing_else(stage, ports):
     ticks = stage.robot.status()["loop"]["ticks"]
     url = f"ws://127.0.0.1:{ports[1]}/"
     narrow = socket.socket()
@@ -277,7 +273,7 @@ async def test_a_reader_that_stops_reading_costs_messages_and_nothing_else_anyth
 
 
 @pytest.mark.skipif(not shutil.which("openssl"), reason="apt install openssl")
-async def test_by_tls_with_the_certificate_of_the_robot_file(tmp_path):
+async def test_it_serves_tls_with_the_certificate_of_the_robot_file(tmp_path):
     certified(tmp_path)
     port = free_port()
     settings = ("publish.tell.kind=rosbridge", f"publish.tell.port={port}",
@@ -294,7 +290,7 @@ async def test_by_tls_with_the_certificate_of_the_robot_file(tmp_path):
 
 @contextlib.asynccontextmanager
 async def connect_again(url, context):
-    """Until it listens."""
+    """Connects, retried until the server listens."""
     while True:
         try:
             client = await connect(url, ssl=context)

@@ -46,7 +46,7 @@ def test_radii_and_track_are_recovered_and_written(tmp_path):
     [("ackermann-servo", ["drive"], ("joint.drive.drive_watchdog_s=2.0",)),
      ("mecanum4", ["front_left", "front_right", "rear_left", "rear_right"], ())],
 )  # fmt: skip
-def test_the_radius_of_a_base_without_two_sides_is_found(tmp_path, name, rolling, settings):
+def test_the_wheel_radius_of_a_car_and_a_mecanum_base_is_found(tmp_path, name, rolling, settings):
     file = copied(tmp_path, ROOT / f"config/robots/{name}.toml")
     true_m = 1.03 * load_robot(file).base.wheel_radius_m
     truth = [f"joint.{joint}.wheel_radius_m={true_m}" for joint in rolling]
@@ -125,7 +125,7 @@ def test_the_paths_before_and_after_are_drawn(tmp_path):
     assert file.read_bytes() == before
 
 
-def test_a_key_ends_a_run_at_rest_and_a_speed_drive_has_no_dead_band(tmp_path):
+def test_a_key_ends_a_run_at_rest_and_a_velocity_drive_has_no_dead_band(tmp_path):
     file = copied(tmp_path)
     with robot_of(tmp_path, file) as stage:
         status, text = calibrated(stage, "deadband")

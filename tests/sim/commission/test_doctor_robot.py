@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord doctor` at a whole daemon on simulated drives, and with a daemon of its own."""
+"""`motord doctor` on a running daemon with simulated drives, and on one that it starts itself."""
 
 import json
 import subprocess
@@ -31,10 +31,10 @@ def doctor(*words):
     return done.returncode, {row["check"]: row for row in found["findings"]}
 
 
-def test_a_daemon_that_runs_well_fails_in_nothing(stage):
+def test_a_healthy_daemon_passes_every_check(stage):
     status, found = doctor("--socket", str(stage.socket))
     assert found["joint left"]["verdict"] == found["5 devices"]["verdict"] == "ok"
-    # on a busy machine a thread stands still now and then, which the daemon counts
+    # on a busy machine a thread stands still now and then; the daemon counts it
     stalled = any(stage.robot.status()["stalls"].values())
     assert found["1 process and threads"]["verdict"] == ("warn" if stalled else "ok")
     assert found["2 topics"]["verdict"] == "ok"
@@ -59,7 +59,7 @@ def test_the_topics_of_a_bus_have_the_rates_of_the_robot_file(tmp_path):
             moving = [row for row in rates.values() if "has had no message" not in row["text"]]
             return moving and {row["verdict"] for row in moving} == {"ok"} and rates
 
-        rates = wait_until(judged, "every topic at its rate")  # a busy machine takes some turns
+        rates = wait_until(judged, "every topic at its rate")  # a busy machine needs some tries
     assert "3 rate of tape/odom" in rates
 
 
@@ -67,7 +67,7 @@ def test_a_dead_drive_and_a_second_program_on_the_port_are_named(stage):
     port = stage.robot.status()["lines"]["rs485"]["port"]
     stage.sim.inject("silence:unit=1,for_s=1000")
     words = "import sys, time; held = open(sys.argv[1], 'rb', 0); print(1, flush=True); input()"
-    # sits on the port as a terminal program does; the lock on it keeps out all but root
+    # holds the port open like a terminal program; the port's lock keeps out all but root
     other = subprocess.Popen(
         [sys.executable, "-c", words, port], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
@@ -87,7 +87,7 @@ def _drives(stage):
     return [joint["drive"] for joint in stage.robot.status()["joints"].values()]
 
 
-def test_without_a_daemon_it_starts_a_disarmed_one_and_ends_it(tmp_path):
+def test_without_a_daemon_doctor_starts_a_disarmed_one_and_ends_it(tmp_path):
     with start_simulator(ROBOT, link_dir=tmp_path, timeout_s=DEADLINE_S) as simulator:
         settings = [part for each in simulator.settings for part in ("--set", each)]
         settings += ["--set", f"robot.name=doctor{tmp_path.stat().st_ino}"]
@@ -99,7 +99,7 @@ def test_without_a_daemon_it_starts_a_disarmed_one_and_ends_it(tmp_path):
         assert simulator.control.truth().at_rest
 
 
-def test_a_mend_is_carried_out_after_the_question_alone(tmp_path):
+def test_a_repair_is_made_only_after_a_yes(tmp_path):
     governor = tmp_path / "sys/devices/system/cpu/cpu0/cpufreq/scaling_governor"
     governor.parent.mkdir(parents=True)
     governor.write_text("powersave\n")

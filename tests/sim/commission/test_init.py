@@ -125,7 +125,7 @@ def test_a_wrong_profile_is_noticed(port, tmp_path):
     assert not file.exists()
 
 
-def test_a_swerve_base_on_simulated_servos_is_asked_for_and_arms(tmp_path):
+def test_a_swerve_base_on_simulated_servos_is_configured_and_arms(tmp_path):
     file = tmp_path / "cart.toml"
     words = ("init", file, "--at", "simulated", "--drive", "sts3215", "--name", "cart")
     with at_terminal(*words) as screen:

@@ -56,7 +56,7 @@ def test_nothing_turns_before_a_yes(stage):
     assert stage.sim.truth().moved_max_m_s == 0.0
 
 
-def test_a_robot_without_a_fault_is_good(stage):
+def test_a_correct_robot_passes(stage):
     before = stage.file.read_bytes()
     with spinning(stage, "--all") as screen:
         screen.answer(GROUND, "y")
@@ -69,7 +69,7 @@ def test_a_robot_without_a_fault_is_good(stage):
 
 
 @pytest.mark.parametrize("how", ["key", "Ctrl-C", "SIGTERM", "hang up", "kill -9", "e-stop"])
-def test_whatever_ends_it_ends_at_rest_and_without_power(stage, how):
+def test_every_ending_is_at_rest_and_without_power(stage, how):
     becomes_idle(stage)
     with at_terminal("spin", "left", "--seconds", "10", "--socket", stage.socket) as screen:
         screen.answer(GROUND, "y")
@@ -102,8 +102,8 @@ def test_whatever_ends_it_ends_at_rest_and_without_power(stage, how):
 
 
 @pytest.mark.parametrize("how", ["Ctrl-C", "kill -9"])
-def test_it_may_begin_again_at_once(how, tmp_path):
-    """Its last command is still alive then, and does not hold the new ones back."""
+def test_spin_can_start_again_at_once(how, tmp_path):
+    """The lease of the first run still lives then, and does not hold the new one back."""
     with robot_of(tmp_path, copied(tmp_path), "input.socket.lease_s=5.0") as stage:
         for _ in range(2):
             with at_terminal("spin", "left", "--seconds", "10", "--socket", stage.socket) as screen:
@@ -116,7 +116,7 @@ def test_it_may_begin_again_at_once(how, tmp_path):
             rests_without_power(stage)
 
 
-def test_a_wheel_whose_drive_fails_is_not_judged(stage):
+def test_a_wheel_with_a_failing_drive_is_not_judged(stage):
     becomes_idle(stage)
     with at_terminal("spin", "left", "--seconds", "10", "--socket", stage.socket) as screen:
         screen.answer(GROUND, "y")
@@ -130,7 +130,7 @@ def test_a_wheel_whose_drive_fails_is_not_judged(stage):
     rests_without_power(stage)
 
 
-def test_an_armed_robot_is_refused_before_anything_is_asked(stage):
+def test_an_armed_robot_is_refused_before_the_first_question(stage):
     becomes_idle(stage)
     stage.robot.arm()
     with spinning(stage, "left") as screen:
@@ -187,7 +187,7 @@ MECANUM_SWAPPED = (
 
 @pytest.mark.long
 def test_diagonally_swapped_mecanum_wheels_are_found(tmp_path):
-    """Each wheel turns twice; the person names the one that turned both times."""
+    """Each wheel turns twice; the person names the wheel that turned both times."""
     file = copied(tmp_path, ROBOT.parent / "mecanum4.toml")
     with robot_of(tmp_path, file, truth=MECANUM_SWAPPED) as stage:
         with spinning(stage, "--all") as screen:

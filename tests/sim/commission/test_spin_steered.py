@@ -70,11 +70,11 @@ class Watcher:
 
 
 HELD_UP = ("no fresh set-points", "the robot stopped by itself")
-"""How it ends where a busy machine lets set-points or positions grow old: without power."""
+"""How a run ends without power where a busy machine lets set-points or positions grow old."""
 
 
 def spun(stage, driven, steering, *words):
-    """Exit status and text; again where a busy machine held it up, at most TRIES times."""
+    """Exit status and text; run again where a busy machine held it up, at most TRIES times."""
     for number in range(TRIES):
         if number:
             becomes_idle(stage)
@@ -88,7 +88,7 @@ def spun(stage, driven, steering, *words):
     return status, screen.text
 
 
-def test_a_car_without_a_fault_is_good(tmp_path):
+def test_a_correct_car_passes(tmp_path):
     file = copied(tmp_path, ROBOT.parent / "ackermann-servo.toml")
     before = file.read_bytes()
     with robot_of(tmp_path, file, VESC) as stage:
@@ -117,7 +117,7 @@ def test_steering_of_a_car_that_is_inverted_and_crooked_is_put_right(tmp_path):
 
 
 @pytest.mark.long
-def test_modules_of_a_swerve_base_whose_drives_are_swapped_are_put_right(tmp_path):
+def test_swerve_modules_with_swapped_drives_are_put_right(tmp_path):
     """The front ones steer and drive each other's wheel, one is inverted, one is crooked."""
     file = crooked(tmp_path, "swerve4-servos")
     truth = {
@@ -143,7 +143,7 @@ def test_modules_of_a_swerve_base_whose_drives_are_swapped_are_put_right(tmp_pat
 
 
 @pytest.mark.parametrize("how", ["key", "kill -9"])
-def test_whatever_ends_it_ends_at_rest_and_without_power(tmp_path, how):
+def test_every_ending_is_at_rest_and_without_power(tmp_path, how):
     file = copied(tmp_path, ROBOT.parent / "ackermann-servo.toml")
     with robot_of(tmp_path, file, VESC) as stage:
 

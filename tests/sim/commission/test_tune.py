@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord tune` at a real terminal: the simulated wheel is identified, its gains make it follow
-better, and whatever ends the command leaves the robot at rest with the gains that it had."""
+"""`motord tune` at a real terminal: the simulated wheel is identified and follows better with its
+new gains. Every ending leaves the robot at rest; gains that are not written are put back."""
 
 import contextlib
 import json
@@ -16,7 +16,7 @@ from motord.config import load_robot
 
 FORWARD_ONLY = ROOT / "config/robots/forward-only.toml"
 HEAVY = ("left.coulomb_n_m=1.2", "right.coulomb_n_m=1.2")
-"""They begin to turn at a duty of 15 %; the file has 6 %."""
+"""These wheels begin to turn at a duty of 15 %; the file has 6 %."""
 STALL_N_M, FULL_RAD_S, INERTIA_KG_M2, VISCOUS = 8.0, 18.0, 0.07, 0.02
 REPLIES = {r"Is the path clear\? \[y/n\] ": "y", r"Write \S+cart\.toml\? \[y/n\] ": "y"}
 GAIN = "joint.left.speed_loop.gain_s_per_rad"
@@ -34,7 +34,7 @@ def stage(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def as_it_was(stage):
-    """Whatever the test before wrote or set."""
+    """Undoes what the test before wrote or set."""
     becomes_idle(stage)
     copied(stage.file.parent, FORWARD_ONLY)
     gains = [name for name in stage.robot.params_list() if ".speed_loop." in name]
@@ -42,8 +42,8 @@ def as_it_was(stage):
 
 
 def tuned(stage, *words, write="y"):
-    """Its exit status and what it printed. Where this computer was held up, nothing is written: it
-    is tried again then, at most TUNED_TRIES times."""
+    """Its exit status and its output. Where the computer was held up, nothing is written; it is
+    then run again, at most TUNED_TRIES times."""
     replies = REPLIES | {r"Write \S+cart\.toml\? \[y/n\] ": write}
     for _ in range(TUNED_TRIES):
         with at_terminal("tune", *words, "--socket", stage.socket) as screen:
@@ -71,7 +71,7 @@ def test_nothing_moves_without_a_yes(stage):
 
 
 @pytest.mark.parametrize("how", ["key", "Ctrl-C", "SIGTERM", "SIGHUP", "kill -9", "e-stop"])
-def test_whatever_ends_it_leaves_the_robot_at_rest_with_the_gains_that_it_had(stage, how):
+def test_every_ending_is_at_rest_with_the_old_gains(stage, how):
     before, place = stage.file.read_bytes(), stage.sim.truth().distance_m
     with at_terminal("tune", "left", "--step-s", "4", "--socket", stage.socket) as screen:
         screen.answer("Is the path clear", "y")
@@ -101,7 +101,7 @@ def test_whatever_ends_it_leaves_the_robot_at_rest_with_the_gains_that_it_had(st
     at_rest_with_its_gains(stage, before)
 
 
-def test_it_is_stopped_by_its_bounds(stage):
+def test_exceeding_a_bound_stops_it(stage):
     before = stage.file.read_bytes()
     status, text = tuned(stage, "left", "--current-max-a", "0.5")
     assert status == 1
@@ -118,7 +118,7 @@ def test_gains_that_are_not_written_are_put_back(stage):
 
 
 @pytest.mark.long
-def test_the_wheel_is_identified_and_follows_better_with_its_gains(stage, tmp_path):
+def test_a_wheel_is_identified_and_follows_better_with_the_new_gains(stage, tmp_path):
     plot = tmp_path / "left.png"
     status, text = tuned(stage, "left", "--plot", str(plot), "--json")
     assert status == 0, text
@@ -140,7 +140,7 @@ def test_the_wheel_is_identified_and_follows_better_with_its_gains(stage, tmp_pa
 
 @contextlib.contextmanager
 def held_up(process):
-    """It runs for a tenth of a second, and then has no CPU for a longer time, over and over."""
+    """Lets the process run for 0.1 s, then takes its CPU away for 0.5 s, over and over."""
     over = threading.Event()
 
     def hold() -> None:
@@ -159,7 +159,7 @@ def held_up(process):
         holding.join()
 
 
-def test_steps_that_the_computer_was_too_busy_to_see_are_driven_again_after_a_question(stage):
+def test_steps_that_a_busy_computer_missed_are_driven_again_after_a_question(stage):
     before = stage.file.read_bytes()
     with at_terminal("tune", "left", "--socket", stage.socket) as screen:
         screen.answer("Is the path clear", "y")
@@ -173,7 +173,7 @@ def test_steps_that_the_computer_was_too_busy_to_see_are_driven_again_after_a_qu
     at_rest_with_its_gains(stage, before)
 
 
-def test_a_drive_that_holds_the_speed_by_itself_is_named(tmp_path):
+def test_a_drive_with_its_own_speed_loop_is_named(tmp_path):
     file = copied(tmp_path)
     with robot_of(tmp_path, file) as stage:
         with at_terminal("tune", "left", "--socket", stage.socket) as screen:
@@ -186,7 +186,7 @@ def test_a_drive_that_holds_the_speed_by_itself_is_named(tmp_path):
 
 
 @pytest.mark.long
-def test_a_drive_that_takes_a_torque_gets_feed_forward_too(tmp_path):
+def test_a_torque_drive_gets_feed_forward_too(tmp_path):
     file = patient_on_can(tmp_path, "cia402-torque", "cia402-torque")
     slack = (("gain_n_m_s_per_rad = 1.0", "gain_n_m_s_per_rad = 0.3"),)
     copied(tmp_path, file, slack)

@@ -57,7 +57,7 @@ async def test_the_end_of_a_daemon_is_noticed(tmp_path):
         await robot.ended()
 
 
-def test_it_loads_nothing_beside_the_standard_library():
+def test_it_imports_only_the_standard_library():
     code = (
         "import sys, motord.aio\n"
         "ours = {name.partition('.')[0] for name in sys.modules} - set(sys.stdlib_module_names)\n"
@@ -70,7 +70,7 @@ def test_it_loads_nothing_beside_the_standard_library():
 
 
 async def in_time(move):
-    """What it returns; again where it was held up, at most TRIES times."""
+    """The result of `move`, which is repeated where it was held up, at most TRIES times."""
     for _ in range(TRIES - 1):
         try:
             return await move()
@@ -108,7 +108,7 @@ async def test_a_stop_by_another_task_ends_a_move(stage, armed):
         assert await stop == "armed"
 
 
-async def test_a_move_that_is_cancelled_gives_its_lease_back(stage, armed):
+async def test_a_cancelled_move_releases_its_lease(stage, armed):
     async with connected(stage) as robot, asyncio.TaskGroup() as tasks:
         move = tasks.create_task(robot.move(20.0))
         await turning(stage)
@@ -119,7 +119,7 @@ async def test_a_move_that_is_cancelled_gives_its_lease_back(stage, armed):
         assert (await robot.status()).leases == ()
 
 
-async def test_its_leases_end_with_it(stage, armed):
+async def test_closing_the_client_ends_its_leases(stage, armed):
     async with connected(stage) as robot:
         assert (await robot.drive(0.0, 0.0, lease_s=5.0))["in_command"]
         assert (await robot.status()).leases[0].owner == "socket"
@@ -128,7 +128,7 @@ async def test_its_leases_end_with_it(stage, armed):
         await robot.status()
 
 
-async def test_a_call_that_is_cancelled_does_not_confuse_the_next(stage):
+async def test_a_cancelled_call_does_not_disturb_the_next(stage):
     async with connected(stage) as robot:
         call = asyncio.gather(robot.params_list(), return_exceptions=True)
         await asyncio.sleep(0)
@@ -138,7 +138,7 @@ async def test_a_call_that_is_cancelled_does_not_confuse_the_next(stage):
         assert (await robot.status()).robot
 
 
-async def test_a_daemon_that_does_not_answer_costs_a_deadline(tmp_path):
+async def test_a_call_to_a_silent_daemon_times_out(tmp_path):
     async def mute(reader, writer):
         await reader.read()
         writer.close()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process: what it publishes, and that its end costs the robot nothing."""
+"""motord-bus: what it publishes, and that its end does not disturb the robot."""
 
 import json
 import os
@@ -18,7 +18,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROBOT, running, set_off, wait_unt
 from tests.sim.planted import offered
 
 FORK_FAULTS = 600
-"""What one fork of the daemon would cost the loop: docs/architecture.md."""
+"""Page faults of the loop that one fork of the daemon would cost: docs/architecture.md."""
 
 
 def free_port():
@@ -55,10 +55,10 @@ def scraped(port):
 
 
 def full(port):
-    """Figures, once the daemon's own word is among them."""
+    """Figures, once those of the daemon are among them."""
     return wait_until(
         lambda: found if (found := scraped(port)) and ("motord_commands_total",) in found else None,
-        "figures with the daemon's word",
+        "figures of the daemon",
     )
 
 
@@ -67,7 +67,7 @@ def bus(stage):
 
 
 def living(stage, but=None):
-    """The second process's number, when it is there and says so."""
+    """The process number of motord-bus, once it has reported."""
     return wait_until(
         lambda: (now := bus(stage)) and now["pid"] not in (None, but) and "inputs" in now and now,
         f"motord-bus\n{stage.logged()}",
@@ -78,8 +78,8 @@ def ticks(stage):
     return stage.robot.status()["loop"]["ticks"]
 
 
-def test_what_prometheus_reads_is_what_the_daemon_reports(stage, port):
-    # the figures are renewed after the state that the daemon has reported on its socket
+def test_prometheus_reads_what_the_daemon_reports(stage, port):
+    # the figures lag behind the state that the daemon reports on its socket
     figures = wait_until(
         lambda: found if (found := full(port))["motord_state", "idle"] == 1.0 else None,
         "figures of an idle robot",
@@ -92,19 +92,19 @@ def test_what_prometheus_reads_is_what_the_daemon_reports(stage, port):
 
 
 @pytest.mark.parametrize("path", ["/", "/secret"])
-def test_nothing_else_than_the_figures_is_served(stage, port, path):
+def test_nothing_but_the_figures_is_served(stage, port, path):
     full(port)
     with pytest.raises(urllib.error.HTTPError, match="404"):
         urllib.request.urlopen(f"http://127.0.0.1:{port}{path}", timeout=10)
 
 
-def test_who_writes_to_the_figures_is_refused(stage, port):
+def test_a_post_to_the_figures_is_refused(stage, port):
     full(port)
     with pytest.raises(urllib.error.HTTPError, match="405"):
         urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", data=b"x", timeout=10)
 
 
-def test_it_has_no_privileges_and_less_than_all_memory(stage):
+def test_it_has_no_privileges_and_bounded_memory(stage):
     pid = living(stage)
     process = Path(f"/proc/{pid}")
     status = (process / "status").read_text(encoding="ascii")
@@ -118,7 +118,7 @@ def test_it_has_no_privileges_and_less_than_all_memory(stage):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSEGV])
-def test_it_is_started_again_and_the_loop_goes_on(stage, port, number):
+def test_a_killed_motord_bus_is_restarted_and_the_loop_goes_on(stage, port, number):
     before, restarts = living(stage), bus(stage)["restarts"]
     counted, faults = ticks(stage), stage.robot.status()["loop"]["page_faults"]
     os.kill(before, number)
@@ -178,13 +178,13 @@ TICKS = 1500
 
 
 LOGGED_MAX = 10
-"""A line at most each 10 s, of thousands."""
+"""At most one line in 10 s is logged, of thousands."""
 TROUBLES = {"spin": "trouble begins", "chatter": "trouble begins", "flood": "no figures"}
-"""By their words in the log."""
+"""By the text that each leaves in the log."""
 
 
 @pytest.mark.parametrize("what", long_but(("flood",), TROUBLES))
-def test_a_robot_drives_whatever_trouble_is_in_it(tmp_path, what):
+def test_a_robot_drives_while_an_adapter_misbehaves(tmp_path, what):
     environ = offered(tmp_path, "motord.publishers", "troubled", TROUBLED, "Adapter")
     when = tmp_path / "now"
     settings = ("publish.troubled.kind=other", "publish.troubled.adapter=troubled",
@@ -216,7 +216,7 @@ class Adapter:
 """
 
 
-def test_an_adapter_that_fails_takes_no_other_with_it(tmp_path):
+def test_a_failing_adapter_does_not_stop_the_others(tmp_path):
     port = free_port()
     environ = offered(tmp_path, "motord.publishers", "failing", FAILING, "Adapter")
     settings = ("publish.failing.kind=other", "publish.failing.adapter=failing",
@@ -235,7 +235,7 @@ def test_an_adapter_that_fails_takes_no_other_with_it(tmp_path):
         assert "no camera for the 1th time" in stage.logged()
 
 
-def test_it_ends_with_its_daemon(tmp_path):
+def test_motord_bus_ends_with_its_daemon(tmp_path):
     settings = ("publish.prom.kind=prometheus", f"publish.prom.port={free_port()}")
     with running(tmp_path, *settings) as stage:
         pid = living(stage)
@@ -243,7 +243,7 @@ def test_it_ends_with_its_daemon(tmp_path):
         wait_until(lambda: not Path(f"/proc/{pid}").exists(), "motord-bus gone")
 
 
-def test_something_else_may_start_it(tmp_path):
+def test_another_program_may_start_motord_bus(tmp_path):
     port = free_port()
     settings = ("publish.prom.kind=prometheus", f"publish.prom.port={port}")
     with running(tmp_path, *settings, options=("--no-bus",)) as stage:
@@ -261,6 +261,6 @@ def test_something_else_may_start_it(tmp_path):
                 process.kill()
 
 
-def test_a_robot_without_networked_buses_does_not_start_it(tmp_path):
+def test_a_robot_without_networked_buses_has_no_motord_bus(tmp_path):
     with running(tmp_path) as stage:
         assert bus(stage) is None

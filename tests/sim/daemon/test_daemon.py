@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon's life on simulated drives: what it lets happen, what it refuses, what it says."""
+"""The daemon on simulated drives: what it does, refuses and reports."""
 
 import contextlib
 import json
@@ -30,16 +30,16 @@ def everyone(tmp_path_factory):
 
 @pytest.fixture
 def stage(everyone):
-    """The same daemon for every test, brought back to rest, disarmed and well."""
+    """The same daemon for every test, brought back to rest, disarmed and without faults."""
     everyone.sim.clear_faults_script()
     wait_until(lambda: accepted(everyone.robot.disarm), "disarmed")
     everyone.wait_for("idle", "fault", "estop")
     wait_until(lambda: everyone.robot.status()["at_rest"], "rest")
-    wait_until(lambda: accepted(everyone.robot.reset), "nothing keeps it from a reset")
+    wait_until(lambda: accepted(everyone.robot.reset), "a reset")
     everyone.robot.params_set(**everyone.limits)
     everyone.wait_for("idle")
     wait_until(lambda: not everyone.robot.status()["leases"], "the last test's sources are gone")
-    # who was held in the test before, is held no more
+    # a source that the test before left held is released by this zero
     wait_until(lambda: accepted(lambda: everyone.robot.drive(0.0, 0.0)), "the loop takes commands")
     everyone.robot.release()
     everyone.sim.reset_truth()
@@ -47,7 +47,7 @@ def stage(everyone):
 
 
 def accepted(ask):
-    """Not while a drive that a busy machine has lost is set up again."""
+    """Whether the daemon accepts it: it refuses while a drive is set up again."""
     try:
         ask()
     except Refused:
@@ -56,7 +56,7 @@ def accepted(ask):
 
 
 class Source(threading.Thread):
-    """A program that sends a command again and again over a connection of its own."""
+    """A program that sends a command repeatedly over its own connection."""
 
     def __init__(self, stage, *command, **lease):
         super().__init__(daemon=True)
@@ -126,7 +126,7 @@ def test_it_starts_disarmed_and_arms_drives_stops_and_disarms_on_request(stage):
     wait_until(lambda: not any(power(stage)), "the power is off")
 
 
-def test_nothing_moves_before_arming_and_the_refusal_reports_what_to_do(stage):
+def test_nothing_moves_before_arming_and_the_refusal_names_the_command(stage):
     with Source(stage, SPEED_M_S, 0.0) as source:
         wait_until(lambda: len(source.refusals) > 3, "refusals")
         with pytest.raises(Refused, match="socket requests motion"):
@@ -139,7 +139,7 @@ def test_arming_twice_is_arming_once(stage):
     assert (stage.robot.arm(), stage.robot.arm()) == ("armed", "armed")
 
 
-def test_a_source_that_goes_on_through_a_stop_has_to_let_go_first(stage):
+def test_a_source_that_keeps_sending_through_a_stop_must_send_zero_first(stage):
     with set_off(stage) as source:
         assert stage.robot.stop() == "armed"
         source.refusals.clear()
@@ -162,26 +162,26 @@ def test_a_lease_ends_with_its_connection(stage):
     assert stage.robot.status()["leases"] == []
 
 
-def test_the_higher_priority_commands_and_gives_back(stage):
+def test_a_higher_priority_takes_the_command_and_gives_it_back(stage):
     with set_off(stage, owner="planner", priority=10) as planner:
         with Source(stage, 0.0, 1.0, owner="joystick", priority=50) as joystick:
-            wait_until(lambda: joystick.answers, "the joystick's word")
+            wait_until(lambda: joystick.answers, "an answer to the joystick")
             assert joystick.answers[0]["owner"] == "joystick"
             assert joystick.answers[0]["in_command"]
             planner.answers.clear()
-            wait_until(lambda: planner.answers, "the planner's word")
+            wait_until(lambda: planner.answers, "an answer to the planner")
             assert planner.answers[-1]["owner"] == "joystick"
             assert not planner.answers[-1]["in_command"]
         planner.answers.clear()
         wait_until(lambda: any(answer["in_command"] for answer in planner.answers), "it is back")
 
 
-def test_the_emergency_stop_stops_latches_and_wants_a_reset_and_an_arm(stage):
+def test_an_emergency_stop_latches_until_reset_and_arm(stage):
     with set_off(stage) as source:
         assert stage.robot.estop() == "estop"
         at_rest(stage)
         for attempt in (stage.robot.arm, stage.robot.reset):
-            with pytest.raises(Refused):  # the one is latched, the other sees the source go on
+            with pytest.raises(Refused):  # latched; the source still requests motion
                 attempt()
         assert stage.robot.status()["why"][0].startswith("requested by process")
         assert any("motord reset" in refusal for refusal in source.refusals)
@@ -191,7 +191,7 @@ def test_the_emergency_stop_stops_latches_and_wants_a_reset_and_an_arm(stage):
     assert stage.sim.truth().at_rest
 
 
-def test_the_emergency_stop_does_not_wait_for_an_arming_that_is_under_way(stage):
+def test_an_emergency_stop_does_not_wait_for_arming_to_end(stage):
     stage.sim.inject("delay:ms=15,p=1")
     outcome = []
 
@@ -212,7 +212,7 @@ def test_the_emergency_stop_does_not_wait_for_an_arming_that_is_under_way(stage)
     wait_until(lambda: not any(power(stage)), "the power is off")
 
 
-def test_a_drive_fault_on_the_way_is_latched_named_and_cleared_by_reset(stage):
+def test_a_drive_fault_in_motion_is_latched_named_and_cleared_by_reset(stage):
     with set_off(stage):
         stage.sim.inject("fault:at_s=0,unit=1,channel=1,bit=2")
         stage.wait_for("fault")
@@ -220,7 +220,7 @@ def test_a_drive_fault_on_the_way_is_latched_named_and_cleared_by_reset(stage):
     assert stage.robot.status()["faults"]
     wait_until(
         lambda: any("left" in reason for reason in stage.robot.status()["why"]),
-        "the drive is named, also when it was seen to be off before it reported why",
+        "the drive is named, also if it was seen off before it reported why",
     )
     with pytest.raises(Refused, match="motord reset"):
         stage.robot.arm()
@@ -230,7 +230,7 @@ def test_a_drive_fault_on_the_way_is_latched_named_and_cleared_by_reset(stage):
     assert stage.robot.arm() == "armed"
 
 
-def test_a_drive_fault_at_rest_refuses_arming_with_its_words(stage):
+def test_a_drive_fault_at_rest_refuses_arming_with_its_text(stage):
     stage.sim.inject("fault:at_s=0,unit=1,channel=2,bit=2")
     wait_until(lambda: stage.robot.status()["joints"]["right"]["drive_faults"], "the fault is seen")
     words = stage.robot.status()["joints"]["right"]["fault_words"]
@@ -247,12 +247,12 @@ def test_a_drive_that_does_not_arm_leaves_nothing_armed(stage):
         stage.robot.arm()
     stage.sim.clear_faults_script()
     wait_until(lambda: not any(power(stage)), "the power is off")
-    wait_until(lambda: drives(stage) == {"ready"}, "those that stopped answering are asked again")
+    wait_until(lambda: drives(stage) == {"ready"}, "unresponsive drives answer again")
     stage.wait_for("idle")
     assert stage.robot.arm() == "armed"
 
 
-def test_what_cannot_be_disarmed_is_sent_and_its_watchdog_named(stage):
+def test_a_drive_that_cannot_be_disarmed_is_reported_with_its_watchdog(stage):
     stage.robot.arm()
     stage.sim.pull("rs485")
     with pytest.raises(Refused, match="watchdog"):
@@ -285,19 +285,19 @@ def test_a_drive_that_reboots_under_power_is_a_fault_and_comes_back_disarmed(sta
     assert not any(power(stage))
 
 
-def test_a_pulled_cable_is_sent_and_its_return_too(stage):
+def test_a_pulled_cable_and_its_return_change_the_state(stage):
     stage.sim.pull("rs485")
     stage.wait_for("configuring")
     with pytest.raises(Refused, match="not ready"):
         stage.robot.arm()
     stage.sim.plug("rs485")
     stage.wait_for("idle")
-    # the stop that the cable cut off is finished first, within a second: arming waits for it
+    # the stop that the cable interrupted is finished first, within a second: arming waits
     wait_until(lambda: accepted(stage.robot.arm), "armed again")
     assert stage.state() == "armed"
 
 
-def test_limits_change_under_way_as_one_group_or_not_at_all(stage):
+def test_limits_change_in_motion_as_one_group_or_not_at_all(stage):
     with set_off(stage):
         with pytest.raises(ClientError, match="linear_m_s"):
             stage.robot.params_set(**{"limits.linear_m_s2": 0.7, "limits.linear_m_s": -1.0})
@@ -305,7 +305,7 @@ def test_limits_change_under_way_as_one_group_or_not_at_all(stage):
             stage.robot.params_set(**{"limits.linear_ms": 0.2})
         for name in ("limits.linear_m_s3", "drive.left.control_word"):
             with pytest.raises(ClientError, match=f"{name}: is too large a number"):
-                stage.robot.params_set(**{name: 10**400})  # no float, and there is no upper end
+                stage.robot.params_set(**{name: 10**400})  # no float, and no upper bound
         assert stage.robot.params_get() == stage.limits
         slow = {"limits.linear_m_s": 0.2, "limits.linear_m_s3": None}
         assert stage.robot.params_set(**slow) == slow
@@ -325,7 +325,7 @@ def test_parameters_report_their_unit_and_range(stage):
     assert stage.robot.params_get("limits.linear_m_s") == {"limits.linear_m_s": found["value"]}
 
 
-def test_the_odometry_can_be_put_to_the_origin(stage):
+def test_the_odometry_can_be_reset_to_the_origin(stage):
     with set_off(stage, 0.5):
         stage.robot.stop()
     at_rest(stage)
@@ -335,7 +335,7 @@ def test_the_odometry_can_be_put_to_the_origin(stage):
     assert (odometry["x_m"], odometry["y_m"], odometry["heading_rad"]) == (0.0, 0.0, 0.0)
 
 
-def test_numbers_that_are_none_are_refused(stage):
+def test_commands_that_are_not_finite_or_out_of_range_are_refused(stage):
     stage.robot.arm()
     for value in (math.nan, math.inf):
         with pytest.raises(ClientError, match="is NaN or infinite"):
@@ -354,7 +354,7 @@ def test_a_released_lease_is_gone_at_once(stage):
     assert stage.robot.status()["leases"] == []
 
 
-def test_the_loop_shows_its_histograms(stage):
+def test_the_loop_reports_its_histograms(stage):
     found = stage.robot.latency()
     assert found["samples"]["lateness"] > 0
     late = found["lateness_us"]
@@ -383,7 +383,7 @@ def motord(stage, *words):
     )  # fmt: skip
 
 
-def test_the_commands_do_what_they_report(stage):
+def test_each_command_does_what_it_prints(stage):
     assert motord(stage, "arm").stdout == "armed\n"
     drive = motord(stage, "drive", "-0.2", "0.1", "--seconds", "0.5", "--json")
     assert json.loads(drive.stdout)["sent"] > 1
@@ -417,7 +417,7 @@ def test_ctrl_c_ends_the_drive_command_and_the_robot_stops(stage):
     assert stage.wait_for("armed")
 
 
-def test_the_commands_exit_status_reports_a_fault_from_a_refusal(stage):
+def test_the_exit_status_distinguishes_a_fault_from_a_refusal(stage):
     assert motord(stage, "drive", "0.1", "0").returncode == 1
     assert motord(stage, "params", "set", "limits.linear_m_s").returncode == 2
     assert motord(stage, "estop").returncode == 0
@@ -436,7 +436,7 @@ def test_a_second_daemon_on_the_same_socket_is_refused(stage):
     assert stage.state() == "idle"
 
 
-def test_two_of_the_same_name_are_refused(stage, tmp_path):
+def test_a_second_robot_of_the_same_name_is_refused(stage, tmp_path):
     name = stage.robot.status()["robot"]
     second = subprocess.run(
         [sys.executable, "-m", "motord", "run", "config/robots/demo.toml",
@@ -447,7 +447,7 @@ def test_two_of_the_same_name_are_refused(stage, tmp_path):
     assert not (tmp_path / "other.sock").exists()
 
 
-def test_time_passes_without_a_word_in_the_log(stage):
+def test_an_idle_robot_logs_nothing(stage):
     before = stage.logged()
     ticks = stage.robot.status()["loop"]["ticks"]
     wait_until(lambda: stage.robot.status()["loop"]["ticks"] > ticks + 500, "ticks")
@@ -455,11 +455,11 @@ def test_time_passes_without_a_word_in_the_log(stage):
 
 
 def motord_at(stage, *arguments):
-    """The command line on this daemon."""
+    """Runs a command of the command line on this daemon."""
     return CliRunner().invoke(cli, [*arguments, "--socket", str(stage.socket)])
 
 
-def test_a_speed_above_the_limit_is_reported_with_what_it_was_limited_to(stage):
+def test_a_speed_above_the_limit_is_reported_with_the_limit(stage):
     stage.robot.arm()
     done = motord_at(stage, "drive", "5", "0", "--seconds", "0.1")
     assert done.exit_code == 0, done.output
@@ -473,7 +473,7 @@ def test_a_limit_out_of_range_is_refused_with_its_range_and_unit(stage):
     assert "limits.linear_m_s: -1.0 is out of range (0.001 to 50 m/s)" in done.stderr
 
 
-def test_a_robot_that_nothing_drives_shows_no_stale_command(stage):
+def test_an_idle_robot_shows_no_stale_command(stage):
     shown = motord_at(stage, "status").stdout
     assert "command_stale" not in shown
     assert "may command  local socket (socket, priority 100)" in shown

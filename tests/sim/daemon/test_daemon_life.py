@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a daemon starts and ends, and what is notified: each test has a daemon of its own."""
+"""How a daemon starts, ends and notifies its supervisor: each test has its own daemon."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def moving(stage):
     set_off(stage, 0.5)
 
 
-def test_a_supervisor_receives_ready_life_and_the_end(tmp_path, supervisor):
+def test_a_supervisor_is_notified_of_ready_watchdog_and_stopping(tmp_path, supervisor):
     environ = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
     with running(tmp_path, environ=environ) as stage:
         received = received_until(supervisor, "STATUS=idle")
@@ -55,7 +55,7 @@ def test_a_daemon_that_hangs_feeds_no_watchdog(tmp_path, supervisor):
         stage.daemon.send_signal(signal.SIGSTOP)
         supervisor.settimeout(0.5)
         with pytest.raises(TimeoutError):
-            while True:  # what had been sent, and then nothing
+            while True:  # what was sent before, and then nothing
                 supervisor.recv(1000)
         stage.daemon.send_signal(signal.SIGCONT)
         supervisor.settimeout(DEADLINE_S)
@@ -75,7 +75,7 @@ def test_it_ends_at_rest_and_without_power(tmp_path, number):
         assert log.index("comes to rest") < log.index("off (shutdown") < log.index("ended")
 
 
-def test_a_daemon_that_could_not_switch_its_drives_off_does_not_claim_it(tmp_path):
+def test_a_daemon_that_failed_to_switch_its_drives_off_reports_it(tmp_path):
     with running(tmp_path) as stage:
         stage.wait_for("idle")
         stage.robot.arm()
@@ -90,8 +90,8 @@ SLOW_RAMP = ("limits.linear_deceleration_m_s2=0.06", "limits.linear_m_s3=inf")
 
 
 def status_without_the_ramp(stage, *faults):
-    """It ends by a second signal, and the lines stop their drives as they end, which these faults
-    disturb."""
+    """The exit status after a second signal: the lines stop their drives as they end, while these
+    faults disturb them."""
     moving(stage)
     stage.daemon.send_signal(signal.SIGTERM)
     wait_until(lambda: "comes to rest" in stage.logged(), "the first signal")
@@ -104,12 +104,12 @@ def status_without_the_ramp(stage, *faults):
     return status
 
 
-def test_a_second_signal_does_not_wait_for_the_ramp_but_takes_the_power_off(tmp_path):
+def test_a_second_signal_cuts_the_power_without_waiting_for_the_ramp(tmp_path):
     with running(tmp_path, *SLOW_RAMP) as stage:
         assert status_without_the_ramp(stage) == 0
 
 
-def test_a_task_that_fails_while_the_daemon_ends_cuts_no_stop_off(tmp_path):
+def test_a_task_that_fails_during_shutdown_does_not_cut_the_stop_short(tmp_path):
     failing = ("-m", "tests.sim.failing_daemon")
     settings = (*SLOW_RAMP, "safety.drive_watchdog_s=10.0")
     with running(tmp_path, *settings, motord=failing) as stage:
@@ -117,7 +117,7 @@ def test_a_task_that_fails_while_the_daemon_ends_cuts_no_stop_off(tmp_path):
         assert "a mistake at the end" in stage.logged()
 
 
-def test_a_base_that_coasts_when_the_command_ends_is_disarmed_by_it(tmp_path):
+def test_a_base_that_coasts_when_the_command_ends_is_disarmed(tmp_path):
     with running(tmp_path, "safety.on_timeout=coast") as stage:
         moving(stage)
         stage.wait_for("idle")
@@ -127,7 +127,7 @@ def test_a_base_that_coasts_when_the_command_ends_is_disarmed_by_it(tmp_path):
         assert stage.robot.status()["faults"] == []
 
 
-def test_without_a_port_it_waits_reports_so_once_and_ends_well(tmp_path):
+def test_without_a_port_it_waits_logs_it_once_and_ends_cleanly(tmp_path):
     with running(tmp_path, simulated=False) as stage:
         wait_until(lambda: "nothing" in stage.logged(), "the port is missed")
         with pytest.raises(Refused, match="not ready"):
@@ -142,7 +142,7 @@ def test_without_a_port_it_waits_reports_so_once_and_ends_well(tmp_path):
         )
 
 
-def test_it_reports_in_one_object_that_it_listens_and_where(tmp_path):
+def test_one_json_object_reports_the_socket_and_the_state_page(tmp_path):
     with running(tmp_path, simulated=False, stdout=subprocess.PIPE, options=("--json",)) as stage:
         ready = json.loads(stage.daemon.stdout.readline())
         assert ready["pid"] == stage.daemon.pid
@@ -153,7 +153,7 @@ def test_it_reports_in_one_object_that_it_listens_and_where(tmp_path):
     assert not Path(ready["state_page"]).exists()
 
 
-def test_a_reader_of_its_output_that_hangs_does_not_keep_it_from_driving(tmp_path):
+def test_a_stuck_reader_of_its_output_does_not_keep_it_from_driving(tmp_path):
     reading, writing = os.pipe()
     settings = ("publish.console.kind=stdout", "publish.console.rate_hz=500", "loop.rate_hz=1000")
     with (

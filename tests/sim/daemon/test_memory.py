@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon keeps in memory for good."""
+"""What the daemon locks in memory."""
 
 import re
 
@@ -22,7 +22,7 @@ def stage(tmp_path_factory):
 
 
 def stacks_kb(pid):
-    """What is in memory of each: anonymous, above a page that no code may touch."""
+    """Resident size of each stack: an anonymous mapping above a guard page."""
     found, guarded, is_stack = [], None, False
     with open(f"/proc/{pid}/smaps", encoding="ascii") as rows:
         for row in rows:
@@ -35,7 +35,7 @@ def stacks_kb(pid):
     return found
 
 
-def test_no_whole_stack_of_a_thread_is_pinned(stage):
+def test_no_thread_has_its_whole_stack_locked_in_memory(stage):
     if stage.robot.status()["loop"]["policy"] != "SCHED_FIFO":
         pytest.skip("memory is not locked here")
     found = stacks_kb(stage.daemon.pid)

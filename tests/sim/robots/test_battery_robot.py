@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A daemon that watches its battery by the simulated drives."""
+"""A daemon that monitors its battery through the simulated drives."""
 
 import contextlib
 import json
@@ -30,7 +30,7 @@ def test_a_robot_without_the_section_has_no_battery(tmp_path):
         assert stage.robot.status()["battery"] is None
 
 
-def test_a_good_battery_is_reported_and_published_and_unknown_when_its_drives_are_gone(tmp_path):
+def test_a_battery_is_reported_and_published_and_unknown_without_its_drives(tmp_path):
     settings = (*FULL, "publish.console.kind=stdout", "publish.console.rate_hz=20")
     with running(tmp_path, *settings, stdout=subprocess.PIPE) as stage, stage.daemon.stdout:
         wait_until(lambda: level(stage) == "normal", "a measure")
@@ -46,12 +46,12 @@ def test_a_good_battery_is_reported_and_published_and_unknown_when_its_drives_ar
         stage.sim.pull()
         wait_until(lambda: level(stage) == "unknown", "unknown")
         assert stage.robot.status()["battery"]["voltage_v"] is None
-        wait_until(lambda: "the battery is unknown" in stage.logged(), "the log's word")
+        wait_until(lambda: "the battery is unknown" in stage.logged(), "the log line")
         stage.sim.plug()
         wait_until(lambda: level(stage) == "normal", "normal again")
 
 
-def test_what_registers_of_a_drive_report_of_the_pack_is_in_the_battery(tmp_path):
+def test_drive_registers_supply_the_batterys_current_and_temperature(tmp_path):
     named = [f"battery.{key}_from=left.{name}" for key, name in REGISTERS.items()]
     with running(tmp_path, *FULL, *named) as stage:
 
@@ -72,17 +72,17 @@ def test_what_registers_of_a_drive_report_of_the_pack_is_in_the_battery(tmp_path
         assert stage.robot.status()["battery"]["temperature_c"] is None
 
 
-def test_a_critical_battery_is_reported_and_lets_the_robot_drive_unless_the_file_wants_stop(
+def test_a_critical_battery_is_reported_and_by_default_does_not_stop_the_robot(
     tmp_path,
 ):
     with running(tmp_path, *EMPTY) as stage:
         wait_until(lambda: level(stage) == "critical", "critical")
-        wait_until(lambda: "the battery is critical" in stage.logged(), "the log's word")
+        wait_until(lambda: "the battery is critical" in stage.logged(), "the log line")
         stage.wait_for("idle")
         set_off(stage)
 
 
-def test_where_the_file_wants_stop_a_critical_battery_lets_nothing_arm(tmp_path):
+def test_a_critical_battery_prevents_arming_where_the_file_sets_stop(tmp_path):
     with running(tmp_path, *EMPTY, STOPS) as stage:
         wait_until(lambda: level(stage) == "critical", "critical")
         stage.wait_for("idle")
@@ -90,8 +90,8 @@ def test_where_the_file_wants_stop_a_critical_battery_lets_nothing_arm(tmp_path)
             stage.robot.arm()
 
 
-def test_a_robot_that_drives_comes_to_rest_when_its_battery_gets_critical(tmp_path):
-    """The simulated 36 V give way as soon as a motor draws current."""
+def test_a_moving_robot_comes_to_rest_when_its_battery_becomes_critical(tmp_path):
+    """The simulated 36 V drop as soon as a motor draws current."""
     weak = ("battery.low_v=35.997", "battery.critical_v=35.995", "battery.hysteresis_v=0.0")
     with running(tmp_path, *DRIVES, *weak, STOPS) as stage:
         wait_until(lambda: level(stage) == "normal", "a measure")
@@ -108,10 +108,10 @@ def test_a_robot_that_drives_comes_to_rest_when_its_battery_gets_critical(tmp_pa
         wait_until(lambda: stage.robot.status()["at_rest"], "rest")
 
 
-def test_a_sensor_that_is_not_there_is_reported_once_and_the_battery_is_unknown(tmp_path):
+def test_a_missing_sensor_is_reported_once_and_the_battery_is_unknown(tmp_path):
     missing = ("battery.source=ina226", f"battery.bus={tmp_path / 'i2c'}", *FULL[1:])
     with running(tmp_path, *missing, STOPS) as stage:
-        wait_until(lambda: "the battery is unknown" in stage.logged(), "the log's word")
+        wait_until(lambda: "the battery is unknown" in stage.logged(), "the log line")
         assert stage.logged().count("there is no such I2C bus") == 1
         assert level(stage) == "unknown"
         stage.wait_for("idle")

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot of joints on a CAN bus, whole: they go where they are commanded while their drives know
-where they are, and nowhere else."""
+"""A robot of joints on a CAN bus: a joint moves only while its drive has its reference position."""
 
 import contextlib
 
@@ -55,14 +54,14 @@ def true_rad(stage, name):
     return stage.sim.truth().joints[name].position_rad
 
 
-def test_joints_on_can_go_where_they_are_commanded(stage):
+def test_joints_on_can_reach_their_commanded_positions(stage):
     with armed(stage):
         stage.robot.joints({"pan": 0.7, "tilt": -0.4}, lease_s=5.0)
         wait_until(lambda: abs(true_rad(stage, "pan") - 0.7) < NEAR_RAD, "pan is there")
         wait_until(lambda: abs(true_rad(stage, "tilt") + 0.4) < NEAR_RAD, "tilt is there")
 
 
-def test_a_joint_whose_drive_has_lost_its_reference_is_not_armed_and_does_not_move(stage):
+def test_a_joint_that_lost_its_reference_is_not_armed_and_does_not_move(stage):
     stage.sim.inject("reboot:unit=2,for_s=0.2")
 
     def refusal():
@@ -73,7 +72,7 @@ def test_a_joint_whose_drive_has_lost_its_reference_is_not_armed_and_does_not_mo
             stage.robot.arm()
         except Refused as error:
             return "where tilt stands is not known" in str(error)
-        stage.robot.disarm()  # it has not yet been missed
+        stage.robot.disarm()  # the drive has not been missed yet
         return False
 
     assert wait_until(refusal, stage.logged())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot on a CAN bus, whole: simulated drives in one process, the daemon in another."""
+"""A robot on a CAN bus: simulated drives in one process, the daemon in another."""
 
 import pytest
 from tests.sim.daemon_stage import patient_on_can
@@ -17,7 +17,7 @@ from motord.tools.demo import run_demo
         ("cia402-torque", "cia402-torque", "can0"),
     ],
 )
-def test_a_robot_on_two_drives_drives_its_course_and_stops_clean(tmp_path, name, profile, line):
+def test_a_can_robot_drives_its_course_and_stops_cleanly(tmp_path, name, profile, line):
     robot = patient_on_can(tmp_path, name, profile)
     report = run_demo(robot, load_robot(robot), 8.0, lambda text: None).to_json()
     assert report["engine"] == {line: "asyncio"}

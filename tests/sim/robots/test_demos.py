@@ -23,7 +23,7 @@ ESTIMATED = {
     "two-single-drives": Source.SPEEDS,
     "waveshare-ugv": Source.SPEEDS,
 }
-"""The robots without position counters; the others are judged."""
+"""The robots without position counters; the odometry of the others is judged."""
 JOINTS = {"pan-tilt": {"pan": "position", "tilt": "position"}}
 """The robots without a base, and what each joint takes."""
 SENTENCES = {
@@ -38,8 +38,8 @@ SERIAL = (
 
 
 def patient(name):
-    """What waits longer than a busy machine is late. The checks of the feedback stay as they are:
-    a healthy robot passes them on any machine."""
+    """Time-outs longer than the delays of a busy machine. The checks of the feedback stay as they
+    are: a healthy robot passes them on any machine."""
     path = ROOT / f"config/robots/{name}.toml"
     robot = load_robot(path)
     yield "safety.feedback_timeout_s=3.0"
@@ -69,7 +69,7 @@ def demo(name, *options):
 
 
 @pytest.mark.parametrize("name", long_but(("demo", "asyncio-rs485"), ROBOTS))
-def test_a_shipped_robot_drives_the_course_and_reports_what_its_odometry_is_worth(name):
+def test_a_shipped_robot_drives_the_course_and_reports_its_odometry_error(name):
     run = demo(name, "--json")
     assert run.returncode == 0, run.stdout + run.stderr
     result = json.loads(run.stdout)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A drive that is warm makes the base slower, along the same curve, and `status` says why, which
-joint, and for how long."""
+"""A warm drive slows the base down along the same curve, and `status` names the reason, the joint
+and how long it has lasted."""
 
 import pytest
 from tests.sim.daemon_stage import wait_until
 from tests.sim.person_stage import at_terminal, copied, robot_of
 
 RANGE = "\n[joint.left.derating]\ntemperature_from_c = 15\ntemperature_to_c = 35\n"
-"""The simulated windings begin at 25 °C: half of it is left."""
+"""The simulated windings begin at 25 °C: half of the limit is left."""
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A daemon on simulated drives whose feedback breaks, or that do not obey: on both engines."""
+"""A daemon on drives with failing feedback, or that ignore their set-points: on both engines."""
 
 import contextlib
 import math
@@ -42,7 +42,7 @@ def powered(stage):
 
 
 def hurt(stage, defect):
-    """At speed, until a fault is latched; one that a too busy machine latched is reset."""
+    """Drives at speed until a fault is latched; a fault of a busy machine is reset."""
     end_s = time.monotonic() + 4 * DEADLINE_S
     while time.monotonic() < end_s:
         stage.sim.clear_faults_script()
@@ -56,7 +56,7 @@ def hurt(stage, defect):
 
 
 def drive_until(stage, condition):
-    """Commanding all the while."""
+    """Sends commands until the condition holds."""
 
     def attempt():
         with contextlib.suppress(Refused):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers of the drives through the running daemon: who may read and write which, and when."""
+"""Registers of the drives through the running daemon: which may be read and written, and when."""
 
 import pytest
 from click.testing import CliRunner
@@ -35,14 +35,14 @@ def test_a_register_is_read_from_its_drive_in_si(stage):
     assert not any(name.startswith("drive.") for name in stage.robot.params_get())
 
 
-def test_what_is_not_there_is_named_with_what_may_be_meant(stage):
+def test_an_unknown_parameter_is_refused_with_a_suggestion(stage):
     with pytest.raises(ClientError, match=r"did you mean drive\.left\.bus_voltage"):
         stage.robot.params_get("drive.left.bus_volt")
     with pytest.raises(ClientError, match="no parameter"):
         stage.robot.params_set(**{"drive.nobody.bus_voltage": 1.0})
 
 
-def test_what_motord_writes_itself_is_not_written_by_name(stage):
+def test_a_register_that_motord_writes_cannot_be_set_by_name(stage):
     for name in ("drive.left.control_word", "drive.left.target_velocity_1"):
         with pytest.raises(ClientError, match="motord itself"):
             stage.robot.params_set(**{name: 0.0})
@@ -67,7 +67,7 @@ def params(stage, *arguments):
     return CliRunner().invoke(cli, ["params", *arguments, "--socket", str(stage.robot.path)])
 
 
-def test_what_is_dumped_can_be_loaded(stage, tmp_path):
+def test_a_dump_can_be_loaded(stage, tmp_path):
     dump = params(stage, "dump")
     assert dump.exit_code == 0
     assert "limits.linear_m_s3 = " in dump.stdout

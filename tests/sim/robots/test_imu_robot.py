@@ -23,14 +23,14 @@ def gyro(stage):
 
 
 def turned_and_slipped(stage):
-    """Half a turn to the left while the left wheels slip; how wrong the heading is afterwards."""
+    """Half a turn to the left while the left wheels slip; returns the error of the heading."""
     stage.wait_for("idle")
     stage.sim.inject("slip:side=0,part=0.8")
 
     def far_enough():
         with contextlib.suppress(Refused):
             status = stage.robot.status()
-            if status["state"] == "fault":  # of a machine that is too busy
+            if status["state"] == "fault":  # a fault of a busy machine
                 stage.robot.reset()
             if not status["armed"]:
                 stage.robot.arm()
@@ -67,7 +67,7 @@ def test_without_a_gyro_the_same_slip_turns_the_heading_away(tmp_path):
         assert turned_and_slipped(stage) > 0.5
 
 
-def test_what_is_published_is_turned_into_the_bases_axes(tmp_path):
+def test_published_samples_are_in_the_bases_axes(tmp_path):
     over = (
         "imu.up=-y",
         "imu.forward=z",
@@ -90,15 +90,15 @@ def test_what_is_published_is_turned_into_the_bases_axes(tmp_path):
         assert wait_until(published, "a snapshot with the imu")["state"] in ("unbiased", "used")
 
 
-def test_a_chip_that_is_not_there_is_reported_once_and_the_wheels_give_the_heading(tmp_path):
+def test_a_missing_chip_is_reported_once_and_the_wheels_give_the_heading(tmp_path):
     text = PLAIN.read_text(encoding="utf-8")
     robot = tmp_path / "robot.toml"
     robot.write_text(text + '[imu]\nsource = "mpu6050"\nbus = "/nowhere/i2c-1"\n', encoding="utf-8")
     with running(tmp_path, robot=robot) as stage:
-        wait_until(lambda: "there is no such I2C bus" in stage.logged(), "the log's word")
+        wait_until(lambda: "there is no such I2C bus" in stage.logged(), "the log line")
         stage.wait_for("idle")
         stage.robot.arm()
-        wait_until(lambda: "the imu sends nothing" in stage.logged(), "the log's word")
+        wait_until(lambda: "the imu sends nothing" in stage.logged(), "the log line")
         assert stage.logged().count("there is no such I2C bus") == 1
         assert stage.robot.status()["imu"] is None
 

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot without a base on simulated bus servos: its joints go where they are commanded, and
-nowhere else."""
+"""A robot without a base on simulated bus servos: its joints go to the commanded positions."""
 
 import json
 import math
@@ -21,7 +20,7 @@ SETTINGS = (
 )  # fmt: skip
 NEAR_RAD = 0.03
 LEASE_S = 5.0
-"""The longest: a process starts meanwhile."""
+"""The longest lease: a process starts meanwhile."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +50,7 @@ def shown(stage):
     ).stdout
 
 
-def test_motord_joints_ends_where_it_was_sent(armed):
+def test_motord_joints_ends_at_the_commanded_positions(armed):
     for goal_rad in (0.4, -0.3):
         done = command(armed, f"pan={goal_rad}", f"tilt={goal_rad / 2}")
         assert done.returncode == 0, done.stderr
@@ -60,7 +59,7 @@ def test_motord_joints_ends_where_it_was_sent(armed):
         assert true_rad(armed, "tilt") == pytest.approx(goal_rad / 2, abs=NEAR_RAD)
 
 
-def test_a_joint_whose_commands_end_rests_before_its_target(armed):
+def test_a_joint_rests_before_its_target_when_its_commands_end(armed):
     start_rad = true_rad(armed, "pan")
     goal_rad = -1.4 if start_rad > 0.0 else 1.4
     armed.robot.joints({"pan": goal_rad}, lease_s=0.1)
@@ -94,14 +93,14 @@ def test_a_stop_leaves_no_target_behind(armed):
         (lambda robot: robot.drive(0.1, 0.0), "no base that drives"),
     ],
 )
-def test_what_these_joints_cannot_do_is_refused_with_the_reason(armed, call, why):
+def test_a_command_that_these_joints_cannot_follow_is_refused_with_the_reason(armed, call, why):
     before_rad = true_rad(armed, "pan")
     with pytest.raises(Refused, match=why):
         call(armed.robot)
     assert true_rad(armed, "pan") == pytest.approx(before_rad, abs=0.005)
 
 
-def test_before_arming_a_position_is_refused_and_moves_nothing(stage):
+def test_a_position_before_arming_is_refused_and_moves_nothing(stage):
     stage.wait_for("idle")
     before_rad = true_rad(stage, "tilt")
     with pytest.raises(Refused, match="motord arm"):
@@ -122,7 +121,7 @@ def test_status_names_joints_and_their_angles(armed):
     assert (description["drives"], description["takes_position"]) == (False, ["pan", "tilt"])
 
 
-def test_status_names_the_joint_whose_range_ends(armed):
+def test_status_names_the_joint_that_its_range_limits(armed):
     def named():
         armed.robot.joints({"pan": 5.0}, lease_s=LEASE_S)
         return re.search(r"reasons +.*joint_position of pan for \d", shown(armed))
@@ -154,14 +153,14 @@ def test_only_limits_that_these_joints_have_are_listed(stage):
 
 @pytest.fixture(name="slowed")
 def _slowed(armed):
-    """Its pan joint moves at 0.3 rad/s; at the end as fast as before."""
+    """The pan joint is limited to 0.3 rad/s; the old limit is restored at the end."""
     before = armed.robot.params_get(PAN_SPEED)
     armed.robot.params_set(**{PAN_SPEED: 0.3})
     yield armed
     armed.robot.params_set(**before)
 
 
-def test_a_limit_that_is_lowered_while_a_joint_moves_slows_it_down(slowed):
+def test_lowering_a_limit_slows_a_moving_joint(slowed):
     def at_speed(rad_s):
         def seen():
             goal_rad = math.copysign(1.4, goals[-1])

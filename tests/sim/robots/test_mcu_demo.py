@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot on a board of one's own drives the course, as `motord demo --robot esp32` does."""
+"""A robot on a microcontroller board drives the course, as `motord demo --robot esp32` does."""
 
 import json
 import subprocess
@@ -9,10 +9,10 @@ from tests.sim.daemon_stage import ROOT
 
 ESP32 = (ROOT / "config/robots/esp32.toml").read_text(encoding="utf-8")
 PATIENT = "[safety]\nfeedback_timeout_s = 2.0\nheartbeat_timeout_s = 2.0\n"
-"""A busy machine is no fault."""
+"""A delay by a busy machine is no fault."""
 
 
-def test_a_robot_on_a_board_drives_the_course_and_knows_where_it_is(tmp_path):
+def test_a_robot_on_a_board_drives_the_course_with_accurate_odometry(tmp_path):
     path = tmp_path / "esp32.toml"
     text = ESP32.replace("[safety]\n", PATIENT).replace("watchdog_s = 0.25", "watchdog_s = 2.0")
     assert PATIENT in text

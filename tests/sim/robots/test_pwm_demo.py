@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot on two bridges at a computer's pins drives the course, as `motord demo --robot
-pi5-bts7960` does; and what its wheels do when the daemon is killed."""
+pi5-bts7960` does. Also: what its wheels do when the daemon is killed."""
 
 import json
 import re
@@ -14,11 +14,11 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, set_off, wait_unti
 
 ROBOT = ROOT / "config/robots/pi5-bts7960.toml"
 PATIENT = "\n[safety]\nfeedback_timeout_s = 2.0\nheartbeat_timeout_s = 2.0\n"
-"""A busy machine is no fault."""
+"""A delay by a busy machine is no fault."""
 SPEED_RAD_S = 5.0
 
 
-def test_a_robot_on_pins_drives_the_course_and_knows_where_it_is(tmp_path):
+def test_a_robot_on_pins_drives_the_course_with_accurate_odometry(tmp_path):
     path = tmp_path / "pi5-bts7960.toml"
     path.write_text(ROBOT.read_text(encoding="utf-8") + PATIENT, encoding="utf-8")
     run = subprocess.run(
@@ -115,7 +115,7 @@ def test_pulses_go_on_after_a_kill_until_stop_all_ends_them(stage, tmp_path):
     assert not any(joint.enabled for joint in stage.sim.truth().joints.values())
 
 
-def test_a_daemon_that_is_ended_leaves_no_pulses(stage):
+def test_a_daemon_that_ends_leaves_no_pulses(stage):
     assert stage.end() == 0
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
     assert not any(joint.enabled for joint in stage.sim.truth().joints.values())

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gains of the speed loops as parameters of a running daemon: a robot on duties whose file does not
-know its friction gets its speed by gains that are set while it drives."""
+"""Gains of the speed loops as parameters of a running daemon: the file of a robot on duties lacks
+its friction, and gains that are set while it drives bring it to its speed."""
 
 import pytest
 from tests.sim.daemon_stage import ROOT, wait_until
@@ -55,13 +55,13 @@ def test_gains_that_are_set_while_it_drives_bring_the_wheel_to_its_speed(stage):
     wait_until(lambda: wheel_rad_s(stage) > 0.5 * wanted, "it drives")
     wait_until(lambda: 0.65 * wanted < wheel_rad_s(stage) < 0.85 * wanted, "too slow")
     assert stage.robot.params_set(**GAINS) == GAINS
-    wait_until(lambda: abs(wheel_rad_s(stage) - wanted) < 0.03 * wanted, "as it was asked for")
+    wait_until(lambda: abs(wheel_rad_s(stage) - wanted) < 0.03 * wanted, "the commanded speed")
     stage.robot.drive(0.0, 0.0)
     wait_until(lambda: stage.sim.truth().at_rest, "at rest")
     stage.robot.disarm()
 
 
-def test_what_was_set_goes_into_the_robot_file(stage):
+def test_changed_gains_are_saved_in_the_robot_file(stage):
     stage.robot.params_set(**GAINS)
     with at_terminal("params", "save", "--yes", "--socket", stage.socket) as screen:
         assert screen.end() == 0, screen.text

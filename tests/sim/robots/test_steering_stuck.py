@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A steered base in simulation one of whose steering servos is blocked."""
+"""A simulated steered base with one blocked steering servo."""
 
 import contextlib
 
@@ -27,7 +27,7 @@ def test_a_blocked_steering_servo_is_a_following_error_that_names_it_and_takes_t
                 if "following_error" in status["faults"]:
                     return True
                 if status["state"] == "fault":
-                    stage.robot.reset()  # what a busy machine latched
+                    stage.robot.reset()  # a fault of a busy machine
                 if not status["armed"]:
                     stage.robot.arm()
                 stage.robot.drive(0.0, 0.6)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""connector.py SOCKET COUNT: holds COUNT connections, silent; 0: connects and closes for ever, as
+"""connector.py SOCKET COUNT: holds COUNT silent connections; 0: connects and closes for ever, as
 often as it can."""
 
 import contextlib

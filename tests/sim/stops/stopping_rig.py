@@ -18,8 +18,8 @@ SPEED_M_S = 0.5
 
 @contextlib.contextmanager
 def moving(stage, robot, speed_m_s=SPEED_M_S):
-    """A source in a process of its own drives straight on, and the true wheels turn. A fault that a
-    too busy machine latched before they did is reset, and another source begins."""
+    """A source in its own process drives straight on, and the simulated wheels turn. If a busy
+    machine latches a fault before they do, it is reset and another source is started."""
     stage.wait_for("idle")
     fast_rad_s = 0.9 * speed_m_s / robot.base.wheel_radius_m
     with contextlib.ExitStack() as sources:

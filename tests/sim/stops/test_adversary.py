@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hand in the machine: what must not move a wheel, and what must not keep one from stopping."""
+"""Hostile clients and failures: none may move a wheel, and none may keep a wheel from stopping."""
 
 import contextlib
 import fcntl
@@ -31,7 +31,7 @@ def powered(stage):
 
 
 def reset(stage):
-    """As soon as it is taken: a drive may still be setting itself up."""
+    """Retried until it is accepted: a drive may still be in its set-up."""
 
     def taken():
         with contextlib.suppress(Refused):
@@ -52,7 +52,7 @@ def request(number, method, **params):
     return json.dumps(call).encode() + b"\n"
 
 
-def test_an_emergency_stop_is_not_refused_because_other_calls_are_under_way(tmp_path):
+def test_pending_calls_do_not_refuse_an_emergency_stop(tmp_path):
     with running(tmp_path, *SLOW_RAMP) as stage, raw_connection(stage) as peer:
         set_off(stage)
         calls = b"".join(request(number, "stop") for number in range(8))
@@ -64,8 +64,8 @@ def test_an_emergency_stop_is_not_refused_because_other_calls_are_under_way(tmp_
         assert answer["result"] == {"state": "estop"}
 
 
-def test_a_disarming_lets_the_ramp_of_a_fault_end(tmp_path):
-    """Power off in motion is a wheel that coasts."""
+def test_a_disarm_waits_for_the_ramp_of_a_fault(tmp_path):
+    """A wheel that loses its power in motion coasts."""
     with running(tmp_path, *SLOW_RAMP, robot=SKID) as stage:
         set_off(stage)
         stage.sim.inject("silence:unit=2,for_s=1000")
@@ -76,7 +76,7 @@ def test_a_disarming_lets_the_ramp_of_a_fault_end(tmp_path):
         assert not any(joint.enabled for joint in front)
 
 
-def test_a_log_that_nothing_reads_does_not_hold_up_the_robot(tmp_path):
+def test_an_unread_log_does_not_hold_up_the_robot(tmp_path):
     reading, writing = os.pipe()
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
     os.set_blocking(writing, False)
@@ -104,7 +104,7 @@ def test_without_standard_streams_it_drives_and_ends_at_rest(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTSTP, signal.SIGQUIT])
-def test_the_keys_of_a_terminal_end_it_at_rest_and_never_freeze_it(tmp_path, number):
+def test_terminal_signals_end_the_daemon_at_rest_and_do_not_suspend_it(tmp_path, number):
     with running(tmp_path) as stage:
         set_off(stage)
         assert stage.end(number) == 0
@@ -113,8 +113,8 @@ def test_the_keys_of_a_terminal_end_it_at_rest_and_never_freeze_it(tmp_path, num
         assert not any(joint.enabled for joint in truth.joints.values())
 
 
-def test_a_source_that_connects_anew_for_each_command_is_held_as_any_other(tmp_path):
-    """It went on asking through the stop, so it must not set off when the stop is done."""
+def test_a_source_that_reconnects_for_each_command_is_held_like_any_other(tmp_path):
+    """It sent commands through the stop, so it must not set off after the stop."""
     with running(tmp_path) as stage:
         set_off(stage)
         stage.robot.stop()
@@ -129,8 +129,8 @@ def test_a_source_that_connects_anew_for_each_command_is_held_as_any_other(tmp_p
             source.drive(0.4, 0.0, owner="again", lease_s=5.0)
 
 
-def test_drives_that_cannot_report_they_stopped_do_not_start_again_after_a_pause(tmp_path):
-    """A suspended daemon: the drives' watchdogs set the duty to 0, and its return writes none."""
+def test_drives_without_a_stop_report_do_not_restart_after_a_pause(tmp_path):
+    """The daemon is suspended: the drives' watchdogs set the duty to 0, and no other follows."""
     with running(tmp_path, "safety.drive_watchdog_s=0.5", robot=FORWARD_ONLY) as stage:
         set_off(stage)
         stage.daemon.send_signal(signal.SIGSTOP)
@@ -141,7 +141,7 @@ def test_drives_that_cannot_report_they_stopped_do_not_start_again_after_a_pause
         assert stage.sim.truth().moved_max_m_s < 0.01
 
 
-def test_when_one_of_two_drives_is_unresponsive_and_mute_the_other_wheel_stops_too(tmp_path):
+def test_one_silent_drive_of_two_stops_both_wheels(tmp_path):
     with running(tmp_path, robot=TWO_SINGLE_DRIVES) as stage:
         set_off(stage, 0.3, 2.0)
         stage.sim.inject("drop:unit=1")
@@ -149,7 +149,7 @@ def test_when_one_of_two_drives_is_unresponsive_and_mute_the_other_wheel_stops_t
         wait_until(lambda: stage.sim.truth().at_rest, "both wheels rest")
 
 
-def test_two_robots_cannot_have_the_same_port(tmp_path):
+def test_two_robots_cannot_share_a_port(tmp_path):
     with running(tmp_path) as stage:
         stage.wait_for("idle")
         port = f"--set=line.rs485.port={json.dumps(str(tmp_path / 'rs485'))}"
@@ -168,13 +168,13 @@ def test_two_robots_cannot_have_the_same_port(tmp_path):
 
 
 @pytest.mark.parametrize("action", ["ramp", "brake", "hold", "coast"])
-def test_every_way_to_stop_ends_at_rest(tmp_path, action):
+def test_every_stop_action_ends_at_rest(tmp_path, action):
     every = [f"safety.{key}={action}" for key in ("on_timeout", "on_fault", "on_estop")]
     with running(tmp_path, *every) as stage:
         set_off(stage)
         stage.robot.release()
         wait_until(lambda: stage.sim.truth().at_rest, "rest after the command")
-        wait_until(lambda: stage.state() in ("idle", "armed"), "the daemon sees it")
+        wait_until(lambda: stage.state() in ("idle", "armed"), "the daemon's state")
         assert stage.state() == ("idle" if action == "coast" else "armed")
         set_off(stage)
         stage.robot.estop()
@@ -188,8 +188,8 @@ def test_every_way_to_stop_ends_at_rest(tmp_path, action):
         wait_until(lambda: stage.sim.truth().at_rest, "rest after a fault")
 
 
-def test_whatever_two_clients_ask_in_between_it_is_disarmed_in_the_end(tmp_path):
-    """Arm, disarm, stop, reset and an emergency stop race; nothing moves afterwards."""
+def test_racing_requests_of_two_clients_end_disarmed(tmp_path):
+    """Arm, disarm, stop, reset and an emergency stop race; afterwards nothing moves."""
     with running(tmp_path) as stage, raw_connection(stage) as one, raw_connection(stage) as two:
         stage.wait_for("idle")
         for _ in range(6):
@@ -204,7 +204,7 @@ def test_whatever_two_clients_ask_in_between_it_is_disarmed_in_the_end(tmp_path)
         wait_until(lambda: not powered(stage), "power off")
 
 
-def test_a_client_that_goes_in_the_middle_of_arming_leaves_nothing_that_moves(tmp_path):
+def test_a_client_that_disconnects_while_arming_leaves_nothing_moving(tmp_path):
     with running(tmp_path) as stage:
         stage.wait_for("idle")
         stage.sim.reset_truth()
@@ -215,7 +215,7 @@ def test_a_client_that_goes_in_the_middle_of_arming_leaves_nothing_that_moves(tm
         assert stage.sim.truth().moved_max_m_s < 0.01
 
 
-def test_a_crowd_of_clients_does_not_take_the_command_from_who_drives(tmp_path):
+def test_many_clients_do_not_take_the_command_from_the_driving_one(tmp_path):
     with running(tmp_path) as stage, contextlib.ExitStack() as crowd:
         set_off(stage)
         for _ in range(100):
@@ -228,7 +228,7 @@ def test_a_crowd_of_clients_does_not_take_the_command_from_who_drives(tmp_path):
         assert stage.robot.stop() == "armed"
 
 
-def test_a_socket_file_that_was_deleted_does_not_keep_it_from_ending_well(tmp_path):
+def test_a_deleted_socket_file_does_not_prevent_a_clean_end(tmp_path):
     with running(tmp_path) as stage:
         set_off(stage)
         stage.socket.unlink()
@@ -237,7 +237,7 @@ def test_a_socket_file_that_was_deleted_does_not_keep_it_from_ending_well(tmp_pa
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.2])
-def test_a_drive_that_reboots_on_the_way_ends_in_a_fault_at_rest(tmp_path, seconds):
+def test_a_drive_that_reboots_in_motion_ends_in_a_fault_at_rest(tmp_path, seconds):
     with running(tmp_path) as stage:
         set_off(stage)
         stage.sim.inject(f"reboot:unit=1,for_s={seconds}")
@@ -253,7 +253,7 @@ def test_a_drive_that_reboots_on_the_way_ends_in_a_fault_at_rest(tmp_path, secon
         assert stage.sim.truth().at_rest
 
 
-def test_a_client_closed_is_a_lease_ended(tmp_path):
+def test_closing_a_client_ends_its_lease(tmp_path):
     with running(tmp_path) as stage:
         stage.wait_for("idle")
         stage.robot.arm()
@@ -275,7 +275,7 @@ main()
 """
 
 
-def test_an_error_that_nothing_expected_ends_the_daemon_at_rest_and_without_power(tmp_path):
+def test_an_unexpected_error_ends_the_daemon_at_rest_and_without_power(tmp_path):
     code = BREAKING.replace("sys.argv[-1]", repr(str(tmp_path / "publisher")))
     settings = (
         "publish.console.kind=stdout",
@@ -290,7 +290,7 @@ def test_an_error_that_nothing_expected_ends_the_daemon_at_rest_and_without_powe
         assert "this error is not expected" in stage.logged()
 
 
-def test_a_signal_in_the_middle_of_arming_ends_it_without_power(tmp_path):
+def test_a_signal_while_arming_ends_the_daemon_without_power(tmp_path):
     with running(tmp_path, "line.rs485.cycle_hz=2") as stage, raw_connection(stage) as peer:
         stage.wait_for("idle")
         peer.sendall(request(1, "arm"))
@@ -299,7 +299,7 @@ def test_a_signal_in_the_middle_of_arming_ends_it_without_power(tmp_path):
         assert not powered(stage)
 
 
-def test_a_plug_that_is_out_for_a_moment_while_it_arms_leaves_it_disarmed(tmp_path):
+def test_a_plug_pulled_for_a_moment_while_arming_leaves_the_robot_disarmed(tmp_path):
     with running(tmp_path, "line.rs485.cycle_hz=5") as stage, raw_connection(stage) as peer:
         stage.wait_for("idle")
         peer.sendall(request(1, "arm"))
@@ -313,10 +313,10 @@ def test_a_plug_that_is_out_for_a_moment_while_it_arms_leaves_it_disarmed(tmp_pa
             with contextlib.suppress(Refused):
                 return stage.robot.arm() == "armed"
 
-        wait_until(armed, "it arms again when asked to")
+        wait_until(armed, "armed by a new request")
 
 
-def test_a_limit_changed_under_way_never_makes_it_faster_than_before(tmp_path):
+def test_a_limit_changed_in_motion_never_speeds_the_robot_up(tmp_path):
     with running(tmp_path, "safety.command_timeout_s=5") as stage:
         set_off(stage)
         with pytest.raises(ClientError, match="to rest"):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A callback that never returns: the C side brings the robot to rest, whatever goes on commanding,
-and the supervisor receives no more."""
+"""A callback that never returns: the C side brings the robot to rest, although a source goes on
+commanding, and the supervisor is notified no more."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from tests.sim.supervised_daemon import PATIENCE_S, fed, notifications, supervis
 HOGGED = ("-m", "tests.sim.hogged_daemon")
 
 
-def test_a_source_of_datagrams_keeps_no_robot_going_whose_asyncio_is_dead(tmp_path):
+def test_datagrams_do_not_keep_a_robot_moving_while_asyncio_hangs(tmp_path):
     robot = tmp_path / "robot.toml"
     text = ROBOT.read_text(encoding="utf-8").split("[input.")[0]
     robot.write_text(text + INPUTS.format(port=free_udp_port()), encoding="utf-8")
@@ -31,7 +31,7 @@ def test_a_source_of_datagrams_keeps_no_robot_going_whose_asyncio_is_dead(tmp_pa
         stage.wait_for("idle")
         stage.robot.arm()
         wait_until(lambda: source.send(0.3) or wheels_turn(stage), "the wheels turn")
-        wait_until(lambda: fed(supervisor), "the supervisor hears it")
+        wait_until(lambda: fed(supervisor), "the supervisor is notified")
 
         ended = threading.Event()
 
@@ -46,7 +46,7 @@ def test_a_source_of_datagrams_keeps_no_robot_going_whose_asyncio_is_dead(tmp_pa
             wait_until(lambda: stage.sim.call("truth")["at_rest"], "rest", 10.0)
             joints = lambda: stage.sim.call("truth")["joints"].values()  # noqa: E731  # one line
             wait_until(lambda: not any(j["enabled"] for j in joints()), "the power is off", 10.0)
-            notifications(supervisor)  # what came before and during the stop
+            notifications(supervisor)  # notifications from before and during the stop
             silent_since_s = time.monotonic()
             wait_until(lambda: time.monotonic() - silent_since_s > PATIENCE_S, "the supervisor's")
             assert not fed(supervisor)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever becomes of the second process while it commands: its lease lapses, the robot rests, the
-loop and the lines go on, and another process is there soon. How late the loop is meanwhile is
-measured by `make bench`: on a busy machine it says nothing."""
+"""Whatever ends motord-bus while it commands: its lease lapses, the robot rests, loop and lines go
+on, and another process starts soon. `make bench` measures the loop's lateness meanwhile: on a busy
+machine the figure means nothing."""
 
 import os
 import signal
@@ -12,9 +12,9 @@ from tests.sim.daemon_stage import obeying, running, wait_until
 from tests.sim.planted import Planted
 
 BACK_WITHIN_S = 60.0
-"""One that hangs is replaced after 10 s."""
+"""A hanging motord-bus is replaced after 10 s."""
 FORK_FAULTS = 600
-"""What one fork of the daemon would cost the loop: docs/architecture.md."""
+"""Page faults of the loop that one fork of the daemon would cost: docs/architecture.md."""
 CYCLES = 20
 FAULTS = {
     "SIGKILL": "was ended by SIGKILL",
@@ -23,7 +23,7 @@ FAULTS = {
     "leak": "MemoryError",
     "loop": "was silent",
 }
-"""And how the log has it."""
+"""By fault, the text that the log has of it."""
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def stage(tmp_path, planted):
 
 
 def leasing(stage, but=None):
-    """The second process's number, when it has a lease."""
+    """The process number of motord-bus, once it has a lease."""
 
     def found():
         now = stage.robot.status()["bus"]
@@ -56,7 +56,7 @@ def exchanges(stage):
 
 
 @pytest.mark.parametrize("fault", long_but(("SIGKILL",), FAULTS))
-def test_its_lease_lapses_the_robot_rests_and_all_else_goes_on(stage, planted, fault):
+def test_a_fault_in_motord_bus_ends_its_lease_and_the_robot_rests(stage, planted, fault):
     pid = leasing(stage)
     obeying(stage, lambda may: planted.order("drive") if may else planted.rest())
     loop = stage.robot.status()["loop"]
@@ -65,7 +65,7 @@ def test_its_lease_lapses_the_robot_rests_and_all_else_goes_on(stage, planted, f
         planted.rest()
     else:
         planted.order(fault)
-    wait_until(lambda: not stage.robot.status()["leases"], "nobody in command")
+    wait_until(lambda: not stage.robot.status()["leases"], "no source in command")
     wait_until(lambda: stage.robot.status()["at_rest"], "rest")
     sent = exchanges(stage)
     wait_until(lambda: exchanges(stage) > sent + CYCLES, "lines that go on")

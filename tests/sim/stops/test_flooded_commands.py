@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A source that sends as many commands as it can, and one of higher priority beside it."""
+"""A source that sends as many commands as it can, and a source of higher priority beside it."""
 
 import asyncio
 import contextlib
@@ -35,8 +35,7 @@ def flood(stage):
 
 
 async def rest(stage):
-    """The pad says: rest, again and again, and at last gives the command back. Who commanded
-    meanwhile, and what was logged of the others."""
+    """The pad commands rest, then releases its lease. Returns the owners in command meanwhile."""
     source, seen = Source(stage.socket, "pad"), []
     async with asyncio.TaskGroup() as tasks:
         holding = tasks.create_task(source.run())
@@ -56,7 +55,7 @@ async def rest(stage):
 
 
 def leases(stage):
-    """Their owners, who commands first."""
+    """Owners of the leases, the one in command first."""
     found = stage.robot.status()["leases"]
     for lease in found[1:]:
         assert lease["why"] == f"waits: {found[0]['owner']} has a higher priority"
@@ -67,7 +66,7 @@ def commander(stage):
     return next(iter(leases(stage)), None)
 
 
-def test_a_flood_keeps_no_command_of_a_higher_priority_from_being_obeyed(tmp_path):
+def test_a_flood_does_not_hold_up_a_command_of_higher_priority(tmp_path):
     with running(tmp_path, *SETTINGS) as stage:
         stage.wait_for("idle")
         stage.robot.arm()
@@ -83,13 +82,13 @@ def refused(stage):
     return stage.robot.status()["commands"]["refused"]["rate"]
 
 
-def test_a_source_commands_no_more_often_than_the_robot_file_allows(tmp_path):
+def test_a_source_is_limited_to_the_rate_in_the_robot_file(tmp_path):
     with running(tmp_path, *SETTINGS, "input.flood.rate_max_hz=50") as stage:
         stage.wait_for("idle")
         with flood(stage):
             wait_until(lambda: commander(stage) == "flood", "the flood commands")
-            wait_until(lambda: refused(stage) > 1000, "what is too often is refused")
-            # once the few that may come early have come
+            wait_until(lambda: refused(stage) > 1000, "commands above the rate are refused")
+            # after the few that may exceed the rate at first
             wait_until(
                 lambda: 0.0 < stage.robot.status()["leases"][0]["rate_hz"] < 60.0, "its rate"
             )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon says of pins of safety that are not there."""
+"""What the daemon reports of missing safety pins."""
 
 import subprocess
 import sys
@@ -9,7 +9,7 @@ from tests.sim.daemon_stage import ROBOT, ROOT
 DEADLINE_S = 60.0
 
 
-def test_a_robot_whose_emergency_stop_has_no_pin_is_not_started(tmp_path):
+def test_a_robot_without_its_emergency_stop_pin_is_not_started(tmp_path):
     settings = ("safety.estop.gpio_chip=no-such-chip", "safety.estop.gpio_line=E")
     ended = subprocess.run(
         [sys.executable, "-m", "motord", "run", str(ROBOT), "--socket", str(tmp_path / "sock"),

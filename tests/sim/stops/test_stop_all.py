@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`motord stop-all` after a daemon was killed at full speed: simulated drives, real signals.
 
-The drives' own watchdogs are set so long that what stops the wheels is what was sent.
+The drives' own watchdogs are so long that only the sent requests can stop the wheels.
 """
 
 import json
@@ -76,7 +76,7 @@ rate_hz = 1
 
 
 def stop_all(*settings, robot=ROBOT):
-    """Exit status, and what it says of the lines."""
+    """Exit status, and its report of the lines."""
     command = [sys.executable, "-m", "motord", "stop-all", str(robot), "--json"]
     command += [part for setting in settings for part in ("--set", setting)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT)
@@ -109,7 +109,7 @@ def test_drives_of_a_killed_daemon_stop_and_lose_their_power(stage):
 
 @pytest.fixture
 def where_it_looks(tmp_path, monkeypatch):
-    """A folder for sockets, as users have one."""
+    """The folder in which stop-all looks for running robots."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     folder = tmp_path / "motord"
     folder.mkdir(mode=0o700)
@@ -125,7 +125,7 @@ def own_file(tmp_path):
 
 
 @pytest.mark.parametrize("edited", ["[robot", "", None], ids=["half saved", "empty", "removed"])
-def test_the_drives_that_ran_are_switched_off_whatever_has_become_of_the_robot_file(
+def test_stop_all_switches_off_the_running_drives_after_any_edit_of_the_robot_file(
     where_it_looks, own_file, edited
 ):
     with running(where_it_looks, LONG, robot=own_file) as stage:
@@ -175,7 +175,7 @@ def test_a_silent_drive_is_named_and_takes_a_bounded_time(stage):
     assert "left, right" in lines[0]["problems"][0]
 
 
-def test_a_drive_whose_answers_are_lost_stops_all_the_same(stage):
+def test_a_drive_with_lost_replies_is_still_stopped(stage):
     full_speed(stage)
     stage.end(signal.SIGKILL)
     stage.sim.inject("drop")
@@ -185,7 +185,7 @@ def test_a_drive_whose_answers_are_lost_stops_all_the_same(stage):
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
 
 
-def test_an_adapter_that_is_gone_is_reported(tmp_path):
+def test_a_missing_adapter_is_reported(tmp_path):
     status, lines = stop_all(f'line.rs485.port="{tmp_path}/nothing"')
     assert status == 3
     assert "there is no such port" in lines[0]["problems"][0]
@@ -238,8 +238,8 @@ def test_can_drives_on_a_bus_that_is_a_socket_stop_too(tmp_path):
     assert f"unix:{path}" in lines[0]["problems"][0]
 
 
-def test_an_error_that_nothing_foresaw_on_one_line_leaves_the_others_sent(tmp_path):
-    """A chip whose files no kernel would write, before one whose bridge is left running."""
+def test_an_unexpected_error_on_one_line_does_not_spare_the_others(tmp_path):
+    """The first chip's files are invalid; the second chip's bridge is left running."""
     for name, period in (("broken", "no number"), ("left_running", "50000")):
         for number in range(2):
             channel = tmp_path / name / f"pwm{number}"
@@ -259,7 +259,7 @@ def test_an_error_that_nothing_foresaw_on_one_line_leaves_the_others_sent(tmp_pa
     assert [int((running / f"pwm{n}/enable").read_text()) for n in range(2)] == [0, 0]
 
 
-def test_a_board_that_streams_is_sent_zero_and_stop_by_its_own_line(tmp_path):
+def test_a_streaming_board_gets_zero_and_stop(tmp_path):
     robot = ROOT / "config/robots/esp32.toml"
     with start_simulator(robot, link_dir=tmp_path, timeout_s=DEADLINE_S) as simulator:
         port = json.dumps(simulator.ports["board"])
@@ -276,8 +276,8 @@ def test_a_board_that_streams_is_sent_zero_and_stop_by_its_own_line(tmp_path):
 SERVO_TORQUE, SERVO_MODE, SERVO_GOAL, VELOCITY_MODE = 40, 33, 46, 1
 
 
-def test_bus_servos_that_were_left_turning_stop_and_lose_their_torque(tmp_path):
-    """Nothing else would stop them: they have no watchdog. The maker's SDK has set them off."""
+def test_bus_servos_left_turning_stop_and_lose_their_torque(tmp_path):
+    """They have no watchdog, so nothing else would stop them. The maker's SDK has started them."""
     robot = ROOT / "config/robots/two-bus-servos.toml"
     with start_simulator(robot, link_dir=tmp_path) as simulator:
         path = str(tmp_path / "servos")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why the robot was stopped, and by what: in `status` and in the log."""
+"""The reason of a stop and its sender, in `status` and in the log."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,7 @@ from motord.api.stop_request import send
 NAME = Path("/proc/self/comm").read_text(encoding="utf-8").strip()
 
 
-def test_an_emergency_stop_has_the_reason_that_was_given_and_later_ones_beside_it(tmp_path):
+def test_an_emergency_stop_keeps_its_reason_and_adds_later_ones(tmp_path):
     with running(tmp_path) as stage:
         stage.wait_for("idle")
         stage.robot.call("estop", why="a person is\ntoo close")

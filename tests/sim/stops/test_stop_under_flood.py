@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stop, emergency stop and disarm get in whatever other clients do to the local socket, and
-whatever the daemon has run out of."""
+"""Stop, emergency stop and disarm get through, whatever other clients do to the local socket, and
+whatever resource the daemon lacks."""
 
 import contextlib
 import os
@@ -56,9 +56,9 @@ def is_off(stage):
 
 
 def at_rest_by(stage, method):
-    """Sent by the command while the wheels turn by a lease that goes on; it prints the state. A
-    flood starves the simulated drives, too: the fault of their silence may overtake a stop that
-    was received, and is the command's answer then."""
+    """Runs the command, which prints the state, while a lease keeps the wheels turning. A flood
+    starves the simulated drives too: a fault for their silence may overtake the stop, and is then
+    the answer."""
     done = motord(stage, method)
     wait_until(lambda: rests(stage), f"rest after {method}")
     if done.returncode == FAULT_LATCHED and "feedback_stale" in done.stderr:
@@ -72,7 +72,7 @@ def at_rest_by(stage, method):
 
 @contextlib.contextmanager
 def driven(stage):
-    """At speed, by a client of its own: the others may push each connection out."""
+    """Drives at speed by its own client: the others may push out any connection."""
     with stage.client() as client:
         stage.robot.close()
         stage.robot = client
@@ -94,7 +94,7 @@ def test_a_robot_is_stopped_through_a_flood_of_connections(tmp_path, count, proc
 
 
 @pytest.mark.parametrize("method", ["stop", "estop", "disarm"])
-def test_a_daemon_without_a_descriptor_left_is_stopped(tmp_path, method):
+def test_a_daemon_out_of_descriptors_is_stopped(tmp_path, method):
     with running(tmp_path) as stage:
         stage.wait_for("idle")
         set_off(stage)
@@ -108,7 +108,7 @@ def test_a_daemon_without_a_descriptor_left_is_stopped(tmp_path, method):
 @pytest.mark.parametrize(
     ("method", "state"), [("stop", "fault"), ("estop", "estop"), ("disarm", "idle")]
 )
-def test_a_daemon_whose_asyncio_stands_still_is_stopped_by_the_loop(tmp_path, method, state):
+def test_a_daemon_with_a_hung_asyncio_is_stopped_by_the_loop(tmp_path, method, state):
     pipe = tmp_path / "hog"
     os.mkfifo(pipe)
     patient = ("safety.heartbeat_timeout_s=5.0", "safety.drive_watchdog_s=10.0")
@@ -125,7 +125,7 @@ def test_a_daemon_whose_asyncio_stands_still_is_stopped_by_the_loop(tmp_path, me
             stage.daemon.kill()
 
 
-def test_who_cannot_reach_it_is_sent_what_to_do_instead(tmp_path):
+def test_an_unreachable_daemon_is_answered_with_motord_stop_all(tmp_path):
     with running(tmp_path, simulated=False) as stage:
         pass
     done = motord(stage, "estop")

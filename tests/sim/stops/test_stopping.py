@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever dies, the wheels come to rest: whole daemon, simulated drives, real signals.
 
-Truth is the simulator's: how fast its wheels really turn, by its own clock. The bound of each test
-is the timeout that must bite (the drive's own watchdog, or the command's lease) plus the ramp, plus
+The simulator reports how fast its wheels really turn, by its own clock. The bound of each test is
+the timeout that must act (the drive's own watchdog, or the command's lease) plus the ramp, plus
 BUSY_S for a machine with other work.
 """
 
@@ -96,7 +96,7 @@ HEARTBEAT_S = 0.5
 
 @pytest.mark.parametrize("how", ["GIL", "asyncio"])
 def test_without_python_the_line_itself_brings_the_wheels_to_rest(tmp_path, robot, how):
-    """By frames: the drives' own watchdogs would bite long after the bound."""
+    """The line's frames stop them: the drives' own watchdogs would act long after the bound."""
     pipe = tmp_path / "hog"
     os.mkfifo(pipe)
     settings = (f"safety.heartbeat_timeout_s={HEARTBEAT_S}", "safety.drive_watchdog_s=10.0")
@@ -141,8 +141,8 @@ def test_a_demonstration_that_is_terminated_leaves_no_process_behind(tmp_path):
 
 
 @pytest.mark.long
-def test_the_demonstration_ends_well_and_prints_what_the_contract_reports(tmp_path):
-    patient = tmp_path / "demo.toml"  # a busy machine is no fault
+def test_the_demonstration_succeeds_and_prints_every_key_of_the_contract(tmp_path):
+    patient = tmp_path / "demo.toml"  # a delay by a busy machine is no fault
     text = ROBOT.read_text(encoding="utf-8")
     for old in ("feedback_timeout_s = 0.25", "heartbeat_timeout_s = 0.5", "drive_watchdog_s = 0.5"):
         assert old in text
@@ -176,8 +176,8 @@ def test_the_demonstration_ends_well_and_prints_what_the_contract_reports(tmp_pa
     assert line["round_trip_us"].keys() >= {"p50", "p99", "max"}
 
 
-def test_a_stop_that_was_answered_does_not_come_again_with_its_datagram(tmp_path):
-    """Each is sent twice: to the loop, which looks once a tick, and to asyncio."""
+def test_an_answered_stop_is_not_repeated_by_its_datagram(tmp_path):
+    """Each stop is sent twice: to the loop, which reads once in a tick, and to asyncio."""
     with running(tmp_path, "loop.rate_hz=20") as stage:
         stage.wait_for("idle")
         for _ in range(5):

@@ -32,7 +32,7 @@ def ptrace(request, tid):
 
 @contextlib.contextmanager
 def stands_still(pid, name):
-    """The thread whose name begins so, in a child of this process."""
+    """The thread with that name prefix stands still, in a child of this process."""
     tasks = Path(f"/proc/{pid}/task").iterdir()
     (tid,) = [int(t.name) for t in tasks if (t / "comm").read_text().startswith(name)]
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A program that the fork server forks is the one that exec would have started."""
+"""A program forked by the fork server is like one that exec has started."""
 
 import contextlib
 import importlib.util
@@ -24,7 +24,7 @@ SIMULATE = (sys.executable, "-m", "motord", "simulate", DEMO, "--stop-on-eof")
 
 @contextlib.contextmanager
 def simulator(**options):
-    """Ready, and with its first line."""
+    """A running simulator and its first line of output."""
     pipe = subprocess.PIPE
     with subprocess.Popen(SIMULATE, stdin=pipe, stdout=pipe, **options) as process:
         try:
@@ -44,18 +44,18 @@ def of(process, name):
 
 
 def is_forked(process):
-    """Its words are in the room that the fork server has for them."""
+    """Its command line is in the space that the fork server reserves for it."""
     return len(of(process, "cmdline").read_bytes()) > NAME_BYTES
 
 
 def both(what, *arguments):
-    """What a forked one has, and a real one."""
+    """The result with a forked program, and with one started by exec."""
     with started_from_nothing():
         real = what(*arguments)
     return what(*arguments), real
 
 
-def test_it_is_a_child_of_the_test_and_shows_its_own_words():
+def test_it_is_a_child_of_the_test_and_shows_its_own_command_line():
     with simulator() as (process, _):
         assert is_forked(process)
         fields = of(process, "stat").read_text(encoding="ascii").rpartition(")")[2].split()
@@ -89,7 +89,7 @@ def test_it_prints_and_ends_as_a_real_one(words):
     assert forked == real
 
 
-def test_it_works_in_the_folder_and_the_environment_that_were_asked_for(tmp_path_factory):
+def test_it_runs_in_the_given_folder_and_environment(tmp_path_factory):
     tmp_path = tmp_path_factory.mktemp("own")  # a socket's path is short
     copy = tmp_path / "here.toml"
     copy.write_text(Path(DEMO).read_text(encoding="utf-8"), encoding="utf-8")
@@ -109,13 +109,13 @@ def test_it_has_the_descriptors_and_the_signals_of_a_real_one(tmp_path):
     assert forked == real
 
 
-def test_it_has_a_session_of_its_own_where_that_was_asked_for():
+def test_it_has_its_own_session_if_requested():
     with simulator(start_new_session=True) as (process, _):
         assert is_forked(process)
         assert os.getsid(process.pid) == process.pid
 
 
-def test_it_controls_a_terminal_of_its_own_where_that_was_asked_for():
+def test_it_controls_its_own_terminal_if_requested():
     def found():
         with at_terminal("simulate", DEMO, columns=200) as terminal:
             terminal.wait_for("control socket")
@@ -129,7 +129,7 @@ def test_it_controls_a_terminal_of_its_own_where_that_was_asked_for():
     assert both(found) == ((True, True, True, 0), (False, True, True, 0))
 
 
-def test_under_other_limits_it_is_started_from_nothing():
+def test_under_other_limits_it_is_started_by_exec():
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft - 1, hard))
     try:
@@ -140,7 +140,7 @@ def test_under_other_limits_it_is_started_from_nothing():
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-def test_what_it_imports_beforehand_is_there():
+def test_every_module_to_import_beforehand_exists():
     assert LATER.keys() <= COMMANDS.keys()
     for name in {name for names in LATER.values() for name in names}:
         assert importlib.util.find_spec(name) is not None, name
@@ -155,13 +155,13 @@ def children(pid):
     ]
 
 
-def test_the_daemon_of_a_demo_has_a_fork_server_of_its_own_and_no_end_of_the_demo_s():
+def test_the_daemon_of_a_demo_has_its_own_fork_server_and_none_of_the_demos_descriptors():
     def daemon():
         with contextlib.suppress(OSError):  # a process may end meanwhile
             for pid in children(demo.pid):
                 tasks = Path(f"/proc/{pid}/task").glob("*/comm")
                 if "motord-loop\n" in [path.read_text(encoding="ascii") for path in tasks]:
-                    return pid  # all that was left behind is closed by then
+                    return pid  # all inherited descriptors are closed by then
         return None
 
     command = [sys.executable, "-m", "motord", "demo", "--seconds", "5"]

@@ -27,13 +27,13 @@ def test_hostile_inputs_end_in_errors_that_are_handled(target, runs):
     assert "no problem" in run.stderr
 
 
-def test_a_drive_that_answers_late_and_torn_is_sent_all_of_its_power_off():
-    """The third life of this seed had only time for the half of it."""
+def test_a_drive_with_late_torn_replies_gets_its_whole_power_off_sequence():
+    """The third life of this seed once had time for half of the sequence only."""
     run = fuzz("guard", 150, seed=2142689052)
     assert run.returncode == 0, run.stderr
 
 
-def test_a_target_that_there_is_not_is_named():
+def test_an_unknown_target_is_answered_with_the_known_ones():
     run = fuzz("nothing", 1)
     assert run.returncode == 2
     assert "robot-file, socket, guard" in run.stderr

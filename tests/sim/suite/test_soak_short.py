@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A short soak: the robot of tests/soak, a moving one with four drives, in a few batches of seeded
-faults of every kind. The long one is `make soak`."""
+"""A short soak: the moving four-drive robot of tests/soak in a few batches of seeded faults of
+every kind. The long soak is `make soak`."""
 
 import re
 import sys
@@ -26,7 +26,7 @@ ENGINES = ("rt", "asyncio")
 
 @pytest.fixture(scope="module")
 def outcomes():
-    """Both engines at once."""
+    """Outcomes of both engines, run at once."""
     with ThreadPoolExecutor(len(ENGINES)) as pool:
         ran = pool.map(lambda engine: live(SEED, engine, FAULTS, BATCH), ENGINES)
         return dict(zip(ENGINES, ran, strict=True))
@@ -34,7 +34,7 @@ def outcomes():
 
 @pytest.mark.long
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_moving_robot_gets_through_every_kind_of_fault(outcomes, engine):
+def test_a_moving_robot_survives_every_kind_of_fault(outcomes, engine):
     outcome = outcomes[engine]
     assert outcome.violations == []
     assert outcome.faults.total() == FAULTS
@@ -42,7 +42,7 @@ def test_a_moving_robot_gets_through_every_kind_of_fault(outcomes, engine):
     assert outcome.checked_counts > FAULTS
 
 
-def test_a_script_is_made_again_by_its_seed():
+def test_the_same_seed_gives_the_same_script():
     def script(seed):
         return list(batches(seed, 200, 20))
 
@@ -51,20 +51,20 @@ def test_a_script_is_made_again_by_its_seed():
     assert max(often) - min(often) <= 1, "each kind as often as any other"
 
 
-def test_replies_late_for_long_and_exceptions_of_code_zero_are_among_the_kinds():
+def test_long_delays_and_exceptions_of_code_zero_are_among_the_kinds():
     texts = dict(kind_and_text for batch in batches(5, 200, 20) for kind_and_text in batch)
     assert re.search(r"delay:.*ms=\d", texts["late-for-long"])
     assert "code=0" in texts["exception-code-0"].split(":")[1].split(",")
 
 
-def test_the_limit_is_the_fastest_wheel_s_and_a_tolerance_that_is_small():
+def test_the_limit_is_that_of_the_fastest_wheel_with_a_small_tolerance():
     most_m_s, tolerance_m_s = limit_m_s()
     assert most_m_s == pytest.approx(1.2)
     assert 0.0 < tolerance_m_s < 0.02 * most_m_s
 
 
 class Journal:
-    """What drives have reported, without a simulator."""
+    """The journal of reported counts, without a simulator."""
 
     def __init__(self, **entries):
         self.entries = {int(unit.removeprefix("unit_")): rows for unit, rows in entries.items()}
@@ -104,7 +104,7 @@ def test_only_a_count_that_the_drive_has_reported_passes(reported, row, wrong):
     assert (reported.checked, len(reported.violations)) == (1, wrong)
 
 
-def test_an_answer_to_an_older_request_is_counted_with_its_age(reported):
+def test_a_reply_to_an_older_request_is_counted_with_its_age(reported):
     reported.tap.write_text(f"0 {1300 * MS} {0x01000007} 0\n", encoding="ascii")
     reported.check(Journal(unit_1=[(1000 * MS, AT, WORDS)]))
     assert (reported.violations, reported.old, reported.oldest_s) == ([], 1, pytest.approx(0.3))

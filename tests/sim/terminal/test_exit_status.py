@@ -30,7 +30,7 @@ def idle(stage):
         return stage.state() == "idle"
 
     wait_until(rests, "idle")
-    # A command that ended while it requested motion in vain bars its name until it has sent zero.
+    # A command that ended while its motion was refused has to send zero first.
     stage.robot.drive(0.0, 0.0, owner="motord-drive")
     stage.robot.release("motord-drive")
     return stage
@@ -50,7 +50,7 @@ def ended(process):
 
 
 @pytest.mark.parametrize("words", [("drive", "0.1", "0"), ("move", "1"), ("turn", "1")])
-def test_a_motion_of_a_disarmed_robot_has_failed(idle, words):
+def test_a_motion_of_a_disarmed_robot_fails(idle, words):
     status, found = ended(command(idle, *words))
     assert (status, found["exit_status"]) == (1, 1)
     assert "armed" in found["error"] or "motord arm" in found["error"]
@@ -87,21 +87,21 @@ def unplugged(tmp_path_factory):
     [("params", "set", "limits.linear_m_s=-1"), ("params", "get", "limits.speed"),
      ("params", "set", "limits.linear_m_s"), ("move", "0"), ("drive", "nan", "0")],
 )  # fmt: skip
-def test_what_cannot_be_asked_for_is_wrong_usage_whatever_the_state(idle, words):
+def test_an_invalid_argument_is_wrong_usage_in_every_state(idle, words):
     assert ended(command(idle, *words))[0] == 2
     idle.robot.estop()
     assert ended(command(idle, *words))[0] == 2
     idle.robot.reset()
 
 
-def test_a_drive_that_never_was_in_command_has_failed(idle):
+def test_a_drive_command_that_was_never_in_command_fails(idle):
     idle.robot.drive(0.0, 0.0, owner="me", priority=250, lease_s=5.0)
     status, found = ended(command(idle, "drive", "0", "0", "--seconds", "0.2"))
     idle.robot.release("me")
     assert (status, found["error"]) == (1, "me is in command")
 
 
-def test_a_fault_that_ends_a_drive_is_sent_by_its_status(idle):
+def test_a_fault_that_ends_a_drive_command_is_its_exit_status(idle):
     def armed():
         with contextlib.suppress(ClientError):
             return idle.robot.arm() == "armed"

@@ -46,7 +46,7 @@ def command(stage, *words):
 
 def ended(process):
     out, err = process.communicate(timeout=DEADLINE_S)
-    found = json.loads(out)  # one object, whatever the end
+    found = json.loads(out)  # one object for every ending
     return process.returncode, found, found.get("error", err)
 
 
@@ -55,7 +55,7 @@ def wait_for_motion(stage):
 
 
 def ended_in_time(stage, *words):
-    """And where the robot was before; again where it was held up, at most TRIES times."""
+    """The pose before and the result; run again where it was held up, at most TRIES times."""
     for _ in range(TRIES):
         before = stage.sim.truth()
         with command(stage, *words) as process:
@@ -86,7 +86,7 @@ def test_a_distance_and_a_turn_are_driven(armed):
     assert armed.robot.status()["leases"] == []
 
 
-def test_interrupted_it_comes_to_rest_and_reports_so(armed):
+def test_an_interrupted_move_comes_to_rest_and_reports_it(armed):
     with command(armed, "move", "20") as process:
         wait_for_motion(armed)
         process.send_signal(signal.SIGINT)
@@ -96,7 +96,7 @@ def test_interrupted_it_comes_to_rest_and_reports_so(armed):
     assert armed.sim.truth().at_rest
 
 
-def test_killed_it_moves_nothing_any_more(armed):
+def test_a_killed_move_leaves_the_robot_at_rest(armed):
     with command(armed, "move", "20") as process:
         wait_for_motion(armed)
         process.kill()
@@ -112,7 +112,7 @@ def test_an_emergency_stop_ends_it_with_the_exit_status_of_a_fault(armed):
     assert (code, sent["end"]) == (3, "aborted")
 
 
-def test_who_commands_already_keeps_the_command(armed):
+def test_a_move_does_not_take_the_command_from_another_source(armed):
     def holding():
         return armed.robot.drive(0.0, 0.1, lease_s=5.0)["in_command"]
 
@@ -132,7 +132,7 @@ def test_who_commands_already_keeps_the_command(armed):
         (("move", "0.3"), 1, "arm"),
     ],
 )
-def test_what_cannot_be_moves_nothing(stage, words, code, why):
+def test_an_impossible_move_moves_nothing(stage, words, code, why):
     def idle():
         with contextlib.suppress(ClientError):
             stage.robot.reset()
@@ -164,7 +164,7 @@ def test_a_program_drives_a_distance_and_turns_right_after_its_own_commands(arme
     assert armed.robot.status()["leases"] == []
 
 
-def test_a_program_is_sent_why_its_move_did_not_arrive(armed):
+def test_a_program_gets_the_reason_why_its_move_failed(armed):
     with pytest.raises(MoveFailed, match="fault is latched: estop") as failed:
         armed.robot.carry_out(
             Goal(axis="linear", distance_u=20.0),

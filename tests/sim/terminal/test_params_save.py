@@ -43,7 +43,7 @@ def test_what_was_set_is_written_after_a_yes(stage):
     assert backup.read_bytes() == before
 
 
-def test_a_value_that_is_no_number_is_refused_with_range_and_unit(stage):
+def test_a_value_that_is_not_a_number_is_refused_with_range_and_unit(stage):
     with at_terminal("params", "set", "limits.linear_m_s=fast", "--socket", stage.socket) as screen:
         assert screen.end() == 2
     assert "'fast' is not a number, as 0.3 or inf (no limit) (0.001 to 50 m/s)" in screen.text

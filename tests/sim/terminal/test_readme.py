@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the README shows works to the letter, in the environment that its two commands make."""
+"""The README's programs work literally, in the environment that its two commands make."""
 
 import re
 import subprocess
@@ -10,7 +10,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, TRIES, running, was_held_up
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 EXTRA_OF = {"motord top": "tui", "--plot": "plot"}
-"""What of it needs packages that `pip install motord` leaves out."""
+"""The parts that need packages which `pip install motord` leaves out."""
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def stage(tmp_path):
         yield stage
 
 
-def test_its_program_in_python_drives_a_robot(stage):
+def test_the_python_program_of_the_readme_drives_a_robot(stage):
     (code,) = re.findall(r"^```python\n(.*?)^```$", README, re.DOTALL | re.MULTILINE)
     assert code.count("Client()") == 1
     code = code.replace("Client()", f"Client({str(stage.socket)!r})")
@@ -43,7 +43,7 @@ def test_its_program_in_python_drives_a_robot(stage):
 
 
 @pytest.mark.parametrize("shown", EXTRA_OF)
-def test_the_packages_that_it_needs_are_installed_by_make_demo(shown):
+def test_make_demo_installs_the_packages_of_the_readmes_program(shown):
     assert shown in README
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     made = makefile[makefile.index("$(VENV)/made:") : makefile.index("$(VENV)/built:")]

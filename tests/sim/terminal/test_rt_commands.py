@@ -30,7 +30,7 @@ def stage(tmp_path_factory):
 
 
 def arm(stage):
-    """A fault that a too busy machine latched in the test before is reset."""
+    """A fault that a busy machine latched in the test before is reset."""
     with contextlib.suppress(Refused):
         if stage.state() == "fault":
             stage.robot.reset()
@@ -52,7 +52,7 @@ def refused(stage):
     return stage.robot.status()["commands"]["refused"]
 
 
-def test_a_datagram_turns_the_wheels_and_its_end_stops_them(armed):
+def test_a_datagram_turns_the_wheels_and_a_release_stops_them(armed):
     with Source(armed) as source:
         wait_until(lambda: source.send(0.3) or wheels_turn(armed), "the wheels turn")
         leases = armed.robot.status()["leases"]
@@ -97,7 +97,7 @@ def is_closed(connection):
         return False
 
 
-def test_who_goes_on_sending_through_a_stop_is_held_until_he_sends_zero(armed):
+def test_a_source_that_keeps_sending_through_a_stop_is_held_until_it_sends_zero(armed):
     with Source(armed, owner="stubborn") as source:
         wait_until(lambda: source.send(0.3) or wheels_turn(armed), "the wheels turn")
         armed.robot.stop()
@@ -111,7 +111,7 @@ def test_who_goes_on_sending_through_a_stop_is_held_until_he_sends_zero(armed):
         wait_until(lambda: source.send(0.3) or wheels_turn(armed), "the wheels turn again")
 
 
-def test_the_higher_priority_commands_whichever_door_it_comes_through(armed):
+def test_the_higher_priority_commands_through_either_socket(armed):
     with Source(armed, owner="autopilot") as source, armed.client() as person:
         source.send(0.2)
         assert person.drive(0.0, 0.0, owner="person")["in_command"]  # 100 against 50
@@ -122,7 +122,7 @@ def test_the_higher_priority_commands_whichever_door_it_comes_through(armed):
         wait_until(lambda: source.send(0.3) or wheels_turn(armed), "the wheels turn")
 
 
-def test_udp_on_this_machine_is_the_same_door(armed):
+def test_udp_on_this_machine_is_accepted_too(armed):
     with Source(armed, owner="udp") as source:
         source.to.close()
         source.to = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -152,7 +152,7 @@ def test_a_priority_above_the_robot_files_is_refused(stage):
 
 
 @pytest.mark.parametrize("language", ["python", "c"])
-def test_the_example_drives(armed, tmp_path, language):
+def test_the_examples_of_the_docs_drive_the_robot(armed, tmp_path, language):
     armed.sim.call("reset_truth")
     if language == "python":
         command = [sys.executable, ROOT / "docs/send_command.py", armed.socket, "0.3", "0.0", "1.0"]
@@ -175,7 +175,7 @@ def test_the_example_drives(armed, tmp_path, language):
     assert armed.sim.call("truth")["moved_max_m_s"] > 0.1
 
 
-def test_the_sockets_file_is_gone_when_the_daemon_is(tmp_path):
+def test_the_socket_file_is_removed_when_the_daemon_ends(tmp_path):
     robot = tmp_path / "robot.toml"
     text = ROBOT.read_text(encoding="utf-8").split("[input.")[0]
     robot.write_text(text + INPUTS.format(port=free_udp_port()), encoding="utf-8")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `status` says of a whole daemon: typed for programs, in words for people."""
+"""The `status` of a daemon: typed for programs, and as text for people."""
 
 import dataclasses
 import json
@@ -18,7 +18,7 @@ def stage(tmp_path_factory):
         yield stage
 
 
-def test_everything_that_status_reports_has_a_type_and_is_still_the_answer(stage):
+def test_every_field_of_status_is_typed_and_equals_the_answer(stage):
     status = stage.robot.status()
 
     def compare(typed, raw, where):
@@ -47,7 +47,7 @@ def shown(stage):
     return CliRunner().invoke(cli, ["status", "--socket", str(stage.socket)]).stdout
 
 
-def test_a_line_whose_port_is_missing_reports_what_it_waits_for(tmp_path):
+def test_a_line_reports_the_missing_port_that_it_waits_for(tmp_path):
     with running(tmp_path, simulated=False) as stage:
         wait_until(lambda: "there is no such port" in shown(stage), "the port that is missing")
         (waits,) = (row for row in shown(stage).splitlines() if "waits:" in row)
@@ -55,7 +55,7 @@ def test_a_line_whose_port_is_missing_reports_what_it_waits_for(tmp_path):
         assert stage.robot.status().lines["rs485"].waits_for in waits
 
 
-def test_a_line_with_a_silent_drive_names_the_drive_until_it_answers_again(stage):
+def test_a_line_names_its_silent_drive_until_it_answers_again(stage):
     assert "waits:" not in shown(stage)
     stage.sim.inject("drop:p=1.0")
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No program reads the daemon's stderr: it starts and obeys all the same."""
+"""No program reads the daemon's stderr: it still starts and follows commands."""
 
 import os
 
@@ -7,7 +7,7 @@ import pytest
 from tests.sim.daemon_stage import running
 
 NEVER_REACHED = "limits.linear_m_s=1.3"
-"""The robot file is warned of."""
+"""This robot file causes a warning."""
 CLOSING = """
 import os, sys
 os.close(2)
@@ -16,7 +16,7 @@ os.execv(sys.executable, [sys.executable, "-m", "motord", *sys.argv[1:]])
 
 
 def full_pipe():
-    """Both ends. Its writers block."""
+    """Both ends of a full pipe, on which a write blocks."""
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     try:

@@ -14,7 +14,7 @@ from tests.sim.pseudo_terminal import at_terminal
 from motord.client import ClientError
 
 RELEASED_S = 1.5
-"""Longer than a lease, and than a key that was pressed once counts."""
+"""Longer than a lease, and longer than one key press lasts."""
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,8 @@ def teleop(stage, **options):
 
 
 def hold(stage, terminal, key="w"):
-    """Until the wheels turn. A slow machine makes keys too old, or latches a fault that is reset
-    here. A key that stays down does not drive after either; then it is pressed again."""
+    """Holds keys until the wheels turn. On a slow machine keys get too old, or a fault is latched,
+    which is reset here. A held key does not drive after either; then it is pressed again."""
     seen = {"refusals": 0}
 
     def refusals():
@@ -83,7 +83,7 @@ def test_two_keys_move_a_base_sideways(tmp_path):
             assert terminal.exit_status() == 0
 
 
-def test_keys_that_a_slow_link_held_back_move_nothing(armed):
+def test_keys_delayed_by_a_slow_link_move_nothing(armed):
     with teleop(armed) as terminal:
         hold(armed, terminal)
         terminal.answers = False  # the link stands still, and the key is released meanwhile
@@ -126,7 +126,7 @@ def test_a_motion_key_during_an_emergency_stop_is_refused_and_the_session_goes_o
     assert armed.sim.truth().at_rest
 
 
-def test_what_is_armed_here_is_disarmed_at_the_end(stage):
+def test_a_robot_armed_by_teleop_is_disarmed_at_its_end(stage):
     wait_until(lambda: stage.state() in ("idle", "fault", "estop"), "at rest")
     with teleop(stage) as terminal:
         terminal.type("r")
@@ -149,7 +149,7 @@ def test_a_closed_terminal_ends_at_rest(armed):
     assert armed.robot.status()["leases"] == []
 
 
-def test_a_program_that_stands_still_stops_the_robot(armed):
+def test_a_suspended_teleop_stops_the_robot(armed):
     with teleop(armed) as terminal:
         hold(armed, terminal)
         terminal.process.send_signal(signal.SIGSTOP)
@@ -157,7 +157,7 @@ def test_a_program_that_stands_still_stops_the_robot(armed):
             terminal.type("w")  # waits in the terminal's buffer
         rests(armed)
         accepted = armed.robot.status()["commands"]["accepted"]
-        terminal.type("x")  # counts, though it came meanwhile
+        terminal.type("x")  # counts, although it was pressed meanwhile
         terminal.process.send_signal(signal.SIGCONT)
         terminal.exit_status()
         assert armed.robot.status()["commands"]["accepted"] - accepted <= 2

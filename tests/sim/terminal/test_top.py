@@ -23,7 +23,7 @@ def stage(tmp_path_factory):
 
 @contextlib.contextmanager
 def top(stage):
-    """On a robot that is idle, whatever the test before left."""
+    """`top` on an idle robot."""
     becomes_idle(stage)
     with at_terminal("top", "--socket", str(stage.socket), answers=False) as terminal:
         terminal.wait_for("joint")
@@ -86,7 +86,7 @@ def test_without_a_terminal_it_is_wrong_usage(stage):
     assert (done.returncode, "ssh -t" in done.stderr) == (2, True)
 
 
-def test_the_log_is_read_by_number(stage):
+def test_the_log_is_read_by_record_number(stage):
     def found():
         return stage.robot.call("log")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Copies of a recording whose journal is another one."""
+"""Copies of a recording with a changed journal."""
 
 import struct
 
@@ -11,7 +11,7 @@ JOURNAL = "/core_journal"
 
 
 def rewritten(path, target, change):
-    """A copy in which `change(number, data)` made each journal message anew; None leaves it out."""
+    """A copy in which `change(number, data)` replaces each journal message; None leaves it out."""
     with path.open("rb") as file, target.open("wb") as sink:
         writer = Writer(sink)
         writer.start(profile="ros2", library="test")
@@ -38,7 +38,7 @@ def with_records(data, change):
 
 
 def flipped(number, data):
-    """For `rewritten`: one bit of the input is another one."""
+    """For `rewritten`: flips one bit of the input."""
     if number != 5:
         return data
     size = struct.unpack_from("<I", data, 8)[0]

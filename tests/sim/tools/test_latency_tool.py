@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`motord latency` on this machine: short runs of the real loop.
 
-No test looks at how fast it was."""
+No test judges the measured times."""
 
 import contextlib
 import itertools
@@ -35,7 +35,7 @@ COMMAND = [sys.executable, "-m", "motord", "latency"]
 DEADLINE_S = 60.0
 STOPPED_S = 0.2
 SEARCHED_S = 0.3
-"""Each of the measurements of a search: a thread is looked at every tenth of a second."""
+"""The length of each measurement of a search: threads are sampled every tenth of a second."""
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def report():
 
 
 def helpers():
-    """Processes that this one started for a measurement and that still run."""
+    """Running processes that this one has started for a measurement."""
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -58,7 +58,7 @@ def helpers():
 
 
 def left_behind():
-    """Files of cyclictests that are dead."""
+    """Files of ended cyclictest processes."""
     files = Path("/dev/shm").glob("cyclictest*")
     return {f for f in files if not Path("/proc", f.name.removeprefix("cyclictest")).exists()}
 
@@ -81,13 +81,13 @@ def test_the_report_has_the_keys_of_the_contract(report):
     assert os.uname().nodename not in found["machine"].values()
 
 
-def test_everything_was_measured_and_percentiles_are_in_order(report):
+def test_every_figure_is_measured_and_percentiles_are_in_order(report):
     for name, spread in spreads(report.to_json()):
         assert spread["samples"] > 0, name
         assert 0 < spread["p50"] <= spread["p99"] <= spread["p99_9"] <= spread["max"], name
 
 
-def test_every_tick_is_in_every_account_of_it(report):
+def test_every_tick_is_in_every_total(report):
     assert report.ticks == report.lateness_us.samples == report.step_ns.samples
     assert report.ticks == sum(window.ticks for window in report.timeline)
     assert report.ticks == sum(bar.count for bar in report.histogram)
@@ -103,13 +103,13 @@ def test_the_time_line_has_no_gap_and_its_worst_tick_is_the_worst_of_the_run(rep
     assert report.lateness_us.max <= worst_us <= report.lateness_us.max * 1.07
 
 
-def test_a_command_that_became_a_byte_was_sent_and_took_longer_than_to_the_core(report):
+def test_bytes_on_the_wire_are_no_more_than_commands_in_the_core_or_sent(report):
     to_core, to_byte = (report.handover_us[k] for k in ("command_to_core", "command_to_byte"))
     assert to_byte.samples <= to_core.samples <= report.commands_sent
     assert to_byte.max > 0
 
 
-def test_no_key_is_a_constant(report):
+def test_no_figure_of_the_report_is_constant(report):
     options = LatencyOptions(rate_hz=100.0, seconds=0.6, priority=0, cpu=(0,), load="gil")
     other = run_latency(options).to_json()
     found = report.to_json()
@@ -127,7 +127,7 @@ def test_no_key_is_a_constant(report):
 
 
 @pytest.mark.parametrize("load", ["cpu", "io"])
-def test_under_load_it_measures_all_the_same_and_leaves_nothing_behind(load):
+def test_it_measures_under_load_and_leaves_nothing_behind(load):
     found = run_latency(LatencyOptions(rate_hz=500.0, seconds=0.4, load=load)).to_json()
     assert found["load"] == load
     assert all(spread["samples"] > 0 for _, spread in spreads(found))
@@ -136,7 +136,7 @@ def test_under_load_it_measures_all_the_same_and_leaves_nothing_behind(load):
 
 @pytest.fixture(scope="module")
 def recorded():
-    """Skips where the kernel keeps its records to itself."""
+    """Skips where the kernel does not show its scheduler records."""
     try:
         SwitchReader([0]).__exit__()
     except SwitchesUnknown as error:
@@ -144,7 +144,7 @@ def recorded():
 
 
 @pytest.mark.usefixtures("recorded")
-def test_the_kernels_records_name_who_starts_processes_and_who_had_a_processor():
+def test_the_kernels_records_name_forking_and_running_processes():
     begin_ns = time.monotonic_ns()
     with SwitchReader(range(os.cpu_count() or 1)) as reader:
         pids = []
@@ -182,7 +182,7 @@ def test_a_program_that_delays_the_loop_is_among_the_suspects(kind):
 
 
 @pytest.mark.usefixtures("recorded")
-def test_a_paused_program_goes_on_afterwards_and_ours_are_never_paused():
+def test_a_paused_program_resumes_and_motords_own_are_never_paused():
     with subprocess.Popen(["sleep", "60"]) as child:
         state = Path(f"/proc/{child.pid}/stat")
         wait_until(lambda: may_be_paused(child.pid), "it has its command line")
@@ -227,7 +227,7 @@ def test_an_error_in_the_middle_leaves_nothing_behind():
         assert loop.status().running
 
 
-def test_the_other_ends_death_is_an_error_and_not_a_short_result():
+def test_the_death_of_the_other_end_is_an_error_and_not_a_short_result():
     def kill_the_other_end(_):
         for pid, words in helpers():
             if str(PEER) in words:
@@ -239,7 +239,7 @@ def test_the_other_ends_death_is_an_error_and_not_a_short_result():
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_time_that_is_none_is_refused(seconds):
+def test_a_duration_that_is_not_positive_and_finite_is_refused(seconds):
     with pytest.raises(ValueError, match="greater than zero"):
         run_latency(LatencyOptions(seconds=seconds))
 
@@ -256,7 +256,7 @@ def test_it_measures_outside_the_main_thread_too():
 
 @contextlib.contextmanager
 def running():
-    """A long run of the command that has begun to measure."""
+    """A long run of the command, once it measures."""
     with subprocess.Popen(
         [*COMMAND, "--seconds", "300", "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT, text=True,
@@ -293,7 +293,7 @@ def was_stopped():
     return found
 
 
-def test_a_process_that_was_stopped_has_overruns_and_the_worst_class():
+def test_a_stopped_process_is_rated_unusable():
     # A stop that falls into a tick makes that tick long, and no wake-up late.
     found = wait_until(
         lambda: (run := was_stopped())["lateness_us"]["max"] >= 0.9 * STOPPED_S * 1e6 and run,
@@ -310,7 +310,7 @@ def without_real_time():
 
 
 @pytest.mark.skipif(shutil.which(without_real_time()[0]) is None, reason="no setpriv, no prlimit")
-def test_a_refused_priority_is_reported_loudly_and_measured_all_the_same():
+def test_a_refused_priority_is_warned_of_and_still_measured():
     done = subprocess.run(
         [*without_real_time(), *COMMAND, "--seconds", "0.3", "--json"],
         capture_output=True, text=True, timeout=DEADLINE_S, env=ENVIRONMENT,

@@ -75,7 +75,7 @@ def test_a_recorded_drive_is_bit_identical_when_it_is_run_again(recording):
     assert "bit-identical" in command(recording).stdout
 
 
-def test_a_bit_of_the_input_that_is_another_one_is_found(recording, tmp_path):
+def test_one_flipped_bit_of_the_input_is_found(recording, tmp_path):
     other = rewritten(recording, tmp_path / "other.mcap", flipped)
     found = outcome(other, status=1)
     assert not found["identical"]
@@ -89,7 +89,7 @@ def test_a_bit_of_the_input_that_is_another_one_is_found(recording, tmp_path):
     assert first["time_s"] > 0.0
 
 
-def test_records_that_are_missing_cost_a_gap_and_the_rest_is_compared(recording, tmp_path):
+def test_missing_records_are_a_gap_and_the_rest_is_compared(recording, tmp_path):
     holes = rewritten(recording, tmp_path / "h.mcap", lambda n, data: None if n == 3 else data)
     found = outcome(holes)
     assert found["identical"]
@@ -102,7 +102,7 @@ def test_a_damaged_message_is_reported(recording, tmp_path):
     assert "damaged" in command(short, status=2).stderr
 
 
-def test_what_is_no_recording_or_has_no_journal_is_reported(recording, tmp_path):
+def test_a_file_that_is_no_recording_or_has_no_journal_is_reported(recording, tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"nothing of that kind" * 9)
     assert "no whole MCAP file" in command(tmp_path / "no.mcap", status=2).stderr
     empty = rewritten(recording, tmp_path / "e.mcap", lambda *_: None)
@@ -138,7 +138,7 @@ def test_a_replay_that_is_ended_early_leaves_no_state_page(recording, number):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_in_the_middle_of_the_making_of_a_page_leaves_none(tmp_path, number):
+def test_a_signal_while_a_state_page_is_created_leaves_none(tmp_path, number):
     name = f"t{uuid.uuid4().hex[:12]}"
     page = own_page(name)
     code = (
@@ -163,7 +163,7 @@ def test_a_signal_in_the_middle_of_the_making_of_a_page_leaves_none(tmp_path, nu
         page.unlink(missing_ok=True)
 
 
-def test_a_robot_that_runs_is_not_played_over(recording, tmp_path):
+def test_a_replay_over_a_running_robot_is_refused(recording, tmp_path):
     with running(tmp_path) as stage:
         name = stage.robot.status()["robot"]
         result = command(recording, "--publish", ROBOT, "--set", f"robot.name={name}", status=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord trace` at whole daemons on simulated drives: a serial line in C, one in asyncio, a CAN
+"""`motord trace` on daemons with simulated drives: a serial line in C, one in asyncio, a CAN
 bus."""
 
 import json
@@ -83,7 +83,7 @@ def test_wireshark_decodes_the_pcap(stage, tmp_path):
     assert any("Response" in row for row in good)
 
 
-def test_a_line_that_is_not_there_is_named_with_what_may_be_meant(stage):
+def test_an_unknown_line_is_named_with_a_suggestion(stage):
     with pytest.raises(ClientError, match='did you mean "rs485"'):
         stage.robot.call("trace", line="rs458")
 
@@ -91,7 +91,7 @@ def test_a_line_that_is_not_there_is_named_with_what_may_be_meant(stage):
 CAN = ROOT / "config/robots/asyncio-can.toml"
 
 
-def test_a_can_bus_goes_into_a_file_that_can_utils_understand(tmp_path):
+def test_a_can_trace_is_a_file_that_can_utils_read(tmp_path):
     with running(tmp_path, robot=CAN) as stage:
         stage.wait_for("idle", "configuring")
         file = tmp_path / "bus.log"
@@ -117,7 +117,7 @@ BOARDS = {
     "hoverboard-rover": ("set-points: target_", "feedback: ", "velocity_left .*voltage 3"),
     "sabertooth": ("write serial_timeout ", "motor_1 ", "motor_2 "),
 }
-"""Robot → what is sent, what comes, and names of the profile."""
+"""Robot → what is sent, what is received, and names of the profile."""
 
 
 @pytest.mark.parametrize("name", BOARDS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Procedures by the dashboard's socket: who may begin, answer and stop one, and what ends it."""
+"""Procedures by the dashboard's socket: which page begins, answers and stops one, what ends it."""
 
 import asyncio
 import contextlib
@@ -43,7 +43,7 @@ def record(one):
 
 
 async def question(page, *problems):
-    """The open one, with one of these problems where there are any."""
+    """The open question, with one of `problems` if any are given."""
 
     def asked(one):
         found = record(one).get("question")
@@ -54,7 +54,7 @@ async def question(page, *problems):
 
 @contextlib.asynccontextmanager
 async def present(page):
-    """What a page sends that is shown."""
+    """Sends the signs of life of a visible page."""
 
     async def signs():
         while True:
@@ -69,8 +69,7 @@ async def present(page):
 
 
 async def answered(page, value, enough):
-    """Give that answer to each question, as often as it is asked because the page seemed away,
-    until `enough` of what comes is true."""
+    """Answers each question, also one asked again, until `enough` is true of a message."""
     given = 0
     while True:
 
@@ -88,7 +87,7 @@ async def answered(page, value, enough):
 
 
 async def turning(stage, page):
-    """A wheel turns, for so long that a test ends it; the page sends no sign any more."""
+    """A wheel turns longer than the test lasts; the page sends no more signs of life."""
     async with present(page):
         await page.answer("commission.start", **SPIN)
         await answered(page, value=True, enough=lambda _: fastest_rad_s(stage) > 0.5)
@@ -99,7 +98,7 @@ def fastest_rad_s(stage):
 
 
 def message_pipe(stage):
-    """What the procedure sends its messages to motord-bus by: its stdout is its log."""
+    """The pipe by which the procedure sends messages to motord-bus; its stdout is its log."""
     (procedure,) = bus_children(stage, "motord.commission.page.procedure")
     read = {target for _, target in pipes(stage.robot.status()["bus"]["pid"])}
     (found,) = (one for one, target in pipes(procedure) if target in read and one.name != "0")
@@ -108,7 +107,7 @@ def message_pipe(stage):
 
 def pipes(pid):
     for one in Path(f"/proc/{pid}/fd").iterdir():
-        with contextlib.suppress(OSError):  # it is closed by now
+        with contextlib.suppress(OSError):  # it has been closed meanwhile
             if (target := os.readlink(one)).startswith("pipe:"):
                 yield one, target
 
@@ -134,12 +133,12 @@ def rests_disarmed(stage):
         ({"procedure": "spin", "joints": [1]}, "list of names"),
     ],
 )
-async def test_what_is_no_procedure_begins_none(connect, request_, why):
+async def test_an_invalid_request_starts_no_procedure(connect, request_, why):
     page = await connect()
     assert why in (await page.answer("commission.start", **request_))["error"]
 
 
-async def test_an_option_that_is_no_finite_number_begins_none(connect):
+async def test_an_option_that_is_not_finite_starts_no_procedure(connect):
     page = await connect()
     for word in ("NaN", "Infinity", "1e999"):
         await page.connection.send_str(
@@ -153,7 +152,7 @@ async def test_an_option_that_is_no_finite_number_begins_none(connect):
     assert status["commissioning"] is None
 
 
-async def test_one_page_conducts_and_others_neither_answer_nor_command_but_stop(connect):
+async def test_only_the_conducting_page_answers_and_others_can_only_stop(connect):
     page, other = await connect(), await connect()
     assert "result" in await page.answer("commission.start", **SPIN)
     number = (await question(page))["number"]
@@ -166,7 +165,7 @@ async def test_one_page_conducts_and_others_neither_answer_nor_command_but_stop(
     await ended(page)
 
 
-async def test_an_answer_of_a_page_that_is_not_present_moves_nothing(stage, connect):
+async def test_an_answer_of_a_silent_page_moves_nothing(stage, connect):
     stage.sim.reset_truth()
     page = await connect()
     await page.answer("commission.start", **SPIN)
@@ -180,7 +179,7 @@ async def test_an_answer_of_a_page_that_is_not_present_moves_nothing(stage, conn
     await ended(page)
 
 
-async def test_an_answer_that_is_none_of_those_that_were_asked_for_is_asked_again(connect):
+async def test_a_question_with_an_invalid_answer_is_asked_again(connect):
     page = await connect()
     await page.answer("commission.start", **SPIN)
     asked = await question(page)
@@ -197,7 +196,7 @@ async def test_an_answer_that_is_none_of_those_that_were_asked_for_is_asked_agai
     await ended(page)
 
 
-async def test_a_page_that_falls_silent_lets_the_wheel_come_to_rest_without_power(stage, connect):
+async def test_a_silent_page_ends_the_procedure_at_rest_without_power(stage, connect):
     page = await connect()
     await turning(stage, page)
     end = await page.until(lambda one: record(one).get("end"))
@@ -205,9 +204,7 @@ async def test_a_page_that_falls_silent_lets_the_wheel_come_to_rest_without_powe
     rests_disarmed(stage)
 
 
-async def test_a_procedure_that_sends_what_cannot_be_read_ends_at_rest_without_power(
-    stage, connect
-):
+async def test_a_procedure_with_unreadable_output_ends_at_rest_without_power(stage, connect):
     page = await connect()
     await turning(stage, page)
     async with present(page):
@@ -218,7 +215,7 @@ async def test_a_procedure_that_sends_what_cannot_be_read_ends_at_rest_without_p
     assert "result" in await page.answer("commission.start", **SPIN)
 
 
-async def test_motord_bus_that_is_killed_leaves_the_robot_at_rest_and_disarmed(stage, connect):
+async def test_a_killed_motord_bus_leaves_the_robot_at_rest_and_disarmed(stage, connect):
     page = await connect()
     await turning(stage, page)
     os.kill(stage.robot.status()["bus"]["pid"], signal.SIGKILL)

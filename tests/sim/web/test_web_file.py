@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file by the dashboard's socket: who may read and write it, and what is refused."""
+"""The robot file by the dashboard's socket: which page reads and writes it, what is refused."""
 
 import asyncio
 import contextlib
@@ -75,7 +75,7 @@ async def test_a_page_without_the_right_token_gets_and_writes_nothing(stage, con
     assert stage.file.read_bytes() == before
 
 
-async def test_a_page_that_is_trusted_without_the_token_checks_and_writes_nothing(tmp_path):
+async def test_a_page_trusted_without_the_token_checks_and_writes_nothing(tmp_path):
     port, file = free_port(), copied(tmp_path)
     trusted = (*SLOW, "input.web.trust_loopback=true")
     with with_dashboard(tmp_path, port, *trusted, robot=file):
@@ -107,31 +107,31 @@ BAD = [
 
 
 @pytest.mark.parametrize(("call", "params", "why"), BAD)
-async def test_a_request_that_is_none_is_refused_with_the_reason(connect, call, params, why):
+async def test_a_malformed_request_is_refused_with_the_reason(connect, call, params, why):
     assert why in (await (await connect()).answer(call, **params))["error"]
 
 
 @pytest.mark.parametrize("text", ["\0", "[", "x = " + "[" * 5000, "", "[robot]\nname = 1\n"])
-async def test_a_text_that_does_not_pass_is_never_written(stage, connect, text):
+async def test_a_text_that_fails_the_check_is_never_written(stage, connect, text):
     before = stage.file.read_bytes()
     found = await (await connect()).answer("file.save", text=text, sha256=sha256(stage))
     assert found["result"]["problems"]
     assert stage.file.read_bytes() == before
 
 
-async def test_half_a_surrogate_pair_is_refused_and_the_page_goes_on(connect):
+async def test_half_a_surrogate_pair_is_refused_and_the_page_keeps_working(connect):
     page = await connect()
     await page.connection.send_str('{"id": 7, "call": "file.check", "params": {"text": "\\ud800"}}')
     assert await page.until(lambda one: isinstance(one, dict) and one.get("problem"))
     assert "result" in await page.answer("status")
 
 
-async def test_a_text_of_the_greatest_length_is_checked(connect):
+async def test_a_text_of_maximum_length_is_checked(connect):
     text = '"\n' * (TOML_BYTES_MAX // 2)
     assert (await (await connect()).answer("file.check", text=text))["result"]["problems"]
 
 
-async def test_a_message_that_is_longer_ends_its_page_alone(connect):
+async def test_an_oversized_message_closes_only_its_own_page(connect):
     other, page = await connect(), await connect()
     await page.connection.send_str('"' + "x" * (4 * TOML_BYTES_MAX) + '"')
     async with asyncio.timeout(100.0):
@@ -141,7 +141,7 @@ async def test_a_message_that_is_longer_ends_its_page_alone(connect):
     assert "result" in await other.answer("status")
 
 
-async def test_too_many_checks_at_once_are_refused_and_run_one_after_the_other(stage, connect):
+async def test_checks_run_one_at_a_time_and_too_many_are_refused(stage, connect):
     several = [await connect() for _ in range(3)]
     for page in several:
         for number in range(4):
@@ -161,7 +161,7 @@ async def test_too_many_checks_at_once_are_refused_and_run_one_after_the_other(s
     assert any("too many pages" in one.get("error", "") for one in found)
 
 
-async def test_a_file_that_is_gone_or_no_text_is_reported(stage, connect):
+async def test_a_file_that_is_missing_or_not_text_is_reported(stage, connect):
     page = await connect()
     stage.file.write_bytes(b"# \xff\n")
     assert "is no UTF-8" in (await page.answer("file.read"))["error"]
@@ -181,7 +181,7 @@ async def test_the_file_is_not_written_while_a_procedure_runs(stage, connect):
     assert stage.file.read_text("utf-8") == text
 
 
-async def test_a_process_that_is_killed_is_reported_and_the_next_one_answers(stage, connect):
+async def test_a_killed_check_is_reported_and_the_next_one_answers(stage, connect):
     page = await connect()
     await page.connection.send_json({"id": 7, "call": "file.check", "params": {"text": "["}})
 
@@ -192,5 +192,5 @@ async def test_a_process_that_is_killed_is_reported_and_the_next_one_answers(sta
         return isinstance(one, dict) and one.get("answer") == 7 and one
 
     found = await page.until(killed)
-    assert "failed" in found.get("error", "failed")  # or it was quicker
+    assert "failed" in found.get("error", "failed")  # or it ended before the kill
     assert "result" in await page.answer("file.check", text="[")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The dashboard's socket, as a program without a browser sees it."""
+"""The dashboard's socket, used by a program without a browser."""
 
 import json
 import signal
@@ -22,11 +22,11 @@ def stage(tmp_path_factory, port):
 
 
 def frame(one):
-    """A frame's number."""
+    """The number of a frame."""
     return one if isinstance(one, int) else None
 
 
-async def test_a_page_that_acknowledges_nothing_is_sent_the_newest_state_when_it_does(connect):
+async def test_a_page_that_acknowledges_late_gets_the_newest_state(connect):
     page = await connect(acknowledges=False)
     await page.connection.send_json({"rate_hz": 50})
     newest = 0
@@ -41,7 +41,7 @@ async def test_a_page_that_acknowledges_nothing_is_sent_the_newest_state_when_it
     assert await page.until(frame) > newest + 20
 
 
-async def test_a_wrong_token_is_refused_with_a_reason_and_another_site_without(connect):
+async def test_a_wrong_token_is_refused_with_a_reason_and_another_site_without_one(connect):
     page = await connect(token="wrong-token-0123456789")
     assert await page.connection.receive_json() == {"refused": "the token is wrong"}
     await page.connection.receive()
@@ -68,21 +68,21 @@ async def test_a_page_without_the_token_can_only_look(stage, connect, call):
 
 
 @pytest.mark.parametrize("call", ["drive", "lease", "release", "", 7, None, ["arm"]])
-async def test_a_page_calls_nothing_but_what_is_listed(connect, call):
+async def test_a_page_can_call_only_listed_methods(connect, call):
     assert "error" in await (await connect()).answer(call)
 
 
 @pytest.mark.parametrize(
     "junk", [b"", b"\x01", b"\x03\x01", b"\xff" * 45, "[]", "{", '{"rate_hz": "x"}', "{}"]
 )
-async def test_what_is_no_message_of_a_page_ends_nothing(connect, junk):
+async def test_a_malformed_message_does_not_close_the_page(connect, junk):
     page = await connect()
     send = page.connection.send_bytes if isinstance(junk, bytes) else page.connection.send_str
     await send(junk)
     assert (await page.answer("status"))["result"]["state"] not in ("armed", "moving")
 
 
-async def test_a_page_that_shows_an_old_state_does_not_drive_and_is_given_the_reason(connect):
+async def test_a_page_that_shows_an_old_state_cannot_drive_and_gets_the_reason(connect):
     page = await connect()
     await page.drive(1, 0.3, seen_s=0.0)
     why = await page.until(lambda one: isinstance(one, dict) and one.get("not_driven"))

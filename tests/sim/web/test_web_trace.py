@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exchanges of a line on the dashboard: while a page shows them, and no longer."""
+"""The exchanges of a line on the dashboard, traced only while a page shows them."""
 
 from collections import deque
 
@@ -24,7 +24,7 @@ def trace_of(one):
     return isinstance(one, dict) and one.get("trace")
 
 
-async def test_two_pages_see_the_same_exchanges_by_one_process_that_ends_with_them(stage, connect):
+async def test_two_pages_share_one_trace_process_that_ends_with_them(stage, connect):
     first, second = await connect(), await connect(token=None)
     assert tracing(stage) == []
     for page in (first, second):
@@ -46,13 +46,13 @@ async def test_two_pages_see_the_same_exchanges_by_one_process_that_ends_with_th
     wait_until(lambda: tracing(stage) == [], "no process traces")
 
 
-async def test_a_line_that_there_is_not_is_named(connect):
+async def test_an_unknown_line_is_named(connect):
     page = await connect()
     assert "no line" in (await page.answer("trace", line="nothing"))["error"]
     assert "no line" in (await page.answer("trace", line=["rs485"]))["error"]
 
 
-def test_failures_are_shown_before_all_else_and_the_order_is_kept():
+def test_failures_are_shown_first_and_the_order_is_kept():
     rows = deque({"failed": False, "number": n} for n in range(10 * ROWS_MAX))
     rows[7]["failed"] = True
     found = [row["number"] for row in chosen(rows)]

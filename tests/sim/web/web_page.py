@@ -49,8 +49,8 @@ class Page:
         self.connection, self.acknowledges = connection, acknowledges
 
     async def until(self, wanted):
-        """The first message of which `wanted` makes something: JSON as it is, a frame as its
-        number."""
+        """The first true result of `wanted`, called with each message: JSON as it is, a frame by
+        its number."""
         async with asyncio.timeout(DEADLINE_S):
             while True:
                 message = await self.connection.receive()
@@ -78,7 +78,7 @@ class Page:
 
 
 async def ended(page):
-    """No procedure runs; whether one did is in the next status."""
+    """Waits until no procedure runs, which the next status shows."""
 
     def idle(one):
         return isinstance(one, dict) and "status" in one and one["status"]["commissioning"] is None
@@ -103,7 +103,7 @@ def with_dashboard(folder, port, *settings, robot=ROBOT):
 
 @contextlib.asynccontextmanager
 async def pages(port):
-    """Makes pages that are connected; they end together."""
+    """A function that opens connected pages; all end together."""
     async with aiohttp.ClientSession() as session:
 
         async def connected(token=TOKEN, acknowledges=True, **headers):

@@ -29,7 +29,7 @@ def adapter():
 
 
 def _monitor(command, **arguments):
-    """One command of QEMU's machine protocol (QMP); whether it was obeyed."""
+    """Runs one command of QEMU's machine protocol (QMP); returns whether it succeeded."""
     with open("/dev/virtio-ports/monitor", "r+b", buffering=0) as port:
         reader = port
         for request in ({"execute": "qmp_capabilities"},
@@ -50,7 +50,7 @@ def plug():
     if adapter():
         return
     device = {"driver": "usb-serial", "id": "adapter", "chardev": "wire", "always-plugged": True}
-    # the old one's end of the cable is let go a little later than the guest sees it leave
+    # QEMU frees the old adapter's end of the cable a little after the guest sees it leave
     wait_until(lambda: _monitor("device_add", serial=ADAPTER_SERIAL, **device), "it is plugged in")
     wait_until(adapter, "the adapter is back")
 
@@ -88,7 +88,7 @@ class Bridge:
 
 
 def robot_file(folder, port, *, name="demo", **line):
-    """A robot of config/robots/demo.toml that waits longer than any emulated machine is late."""
+    """The demo robot with time-outs longer than the delays of an emulated machine."""
     profile = ROBOT.parents[1] / "drives/zlac8015d.toml"
     text = profile.read_text(encoding="utf-8")
     slow = text.replace("turnaround_s = 0.005", "turnaround_s = 1.0")

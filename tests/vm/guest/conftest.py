@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests against a real kernel's drivers. They change devices, users and packages of the machine
-that they run on: only in the guest of `make vm`, or where MOTORD_VM=1 says that it is for that."""
+that they run on: only in the guest of `make vm`, or where MOTORD_VM=1 permits it."""
 
 import os
 import sys
@@ -16,15 +16,14 @@ os.environ["PYTHONPATH"] = os.pathsep.join(PACKAGES)  # for the processes that t
 
 
 def pytest_runtest_logreport(report):
-    """A failure is printed at once: the rest may take minutes."""
+    """Prints a failure at once: the rest may take minutes."""
     if report.failed:
         print(f"\n{report.longreprtext}", file=sys.__stdout__, flush=True)
 
 
 @pytest.fixture(scope="session")
 def simulator(tmp_path_factory):
-    """The demo robot's drives, a process of their own; to start it takes an emulated machine
-    seconds."""
+    """The demo robot's drives, in one process: starting it takes an emulated machine seconds."""
     from cable import ROBOT
     from hardware import simulated
 

@@ -14,8 +14,8 @@ CONFIG = Path("/sys/kernel/config/gpio-sim")
 
 @contextlib.contextmanager
 def gpio_chip(label, *names, folder=None):
-    """A chip with these lines; yields a function: a line's name → the level that is on it. Chips
-    with one label need folders of their own."""
+    """A chip with these lines; yields a function: a line's name → its level. Chips with the same
+    label need different folders."""
     chip = CONFIG / (folder or label)
     bank = chip / "bank0"
     bank.mkdir(parents=True)

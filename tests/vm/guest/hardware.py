@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands for hardware here runs before all that does not: drives and cables do not
-wait until the computer is done with its other work.
+"""Processes that stand for hardware run before all others here: real drives and cables do not wait
+for the computer's other work.
 
 Source: sched(7).
 """
@@ -18,7 +18,7 @@ PRIORITY = 20
 
 
 def run_first(thread=0):
-    """A thread, from now on, and those that it starts; 0: this one."""
+    """Gives a thread, and those that it starts, this priority from now on; 0: this thread."""
     os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(PRIORITY))
 
 

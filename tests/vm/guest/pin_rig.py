@@ -21,7 +21,7 @@ DEADLINE_S = 60.0
 
 
 def wait_until(condition, what):
-    """Ask again until it holds. The guest is slow: only what never comes true takes so long."""
+    """Calls `condition` until it is true. The deadline allows for a slow guest."""
     end_s = time.monotonic() + DEADLINE_S
     while not (found := condition()):
         assert time.monotonic() < end_s, f"{what}: never"
@@ -31,7 +31,7 @@ def wait_until(condition, what):
 
 @dataclasses.dataclass(frozen=True)
 class Pins:
-    """Where the levels are to be read, and inputs to be driven."""
+    """The files in which levels are read and inputs are driven."""
 
     lines: Path
     chip: Path
@@ -52,7 +52,7 @@ class Pins:
         return float((self.lines / f"sim_gpio{number}/value").read_text())
 
     def drive(self, where, level):
-        """From outside, into an input."""
+        """Drives an input from outside."""
         pull = self.lines / f"sim_gpio{LINES.index(where)}/pull"
         pull.write_text("pull-up" if level else "pull-down")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of the guest, what they say, and waiting for what they bring about."""
+"""Commands in the guest, their output, and waiting for their effects."""
 
 import json
 import os
@@ -7,13 +7,12 @@ import subprocess
 import time
 
 DEADLINE_S = 100.0 + float(os.environ.get("MOTORD_VM_SET_UP_S", "0"))
-"""An emulated machine on a busy one is slow: only what never comes true takes so long. It has shown
-how slow when it booted and installed the package."""
+"""An emulated machine on a busy one is slow: its time for boot and installation shows how slow."""
 LOOK_EVERY_S = 0.05
 
 
 def wait_until(condition, what, shown=str):
-    """Ask again until it holds; what came, or a failure that says what did not, and what was
+    """Calls `condition` until it is true, and returns its value; fails with `what` and what was
     shown."""
     end_s = time.monotonic() + DEADLINE_S
     while not (found := condition()):
@@ -30,7 +29,7 @@ def status_of(*command):
 
 
 def output(*command):
-    """What it prints; a failure is the test's."""
+    """Its output; fails the test if the command fails."""
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=2 * DEADLINE_S, check=False
     )
@@ -44,7 +43,7 @@ def properties(unit, *names):
 
 
 def journal(unit):
-    """Its entries since the machine has started, oldest first."""
+    """The unit's entries since the machine started, oldest first."""
     output("journalctl", "--sync")
     return [
         json.loads(line) for line in output("journalctl", "-u", unit, "-o", "json").splitlines()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A running daemon, as a test sees it: what it says of itself, and what the wheels really do."""
+"""A running daemon for a test: its own reports, and what the wheels really do."""
 
 import contextlib
 import subprocess
@@ -29,7 +29,7 @@ class Stage:
         return self.log.read_text(encoding="utf-8")
 
     def armed(self):
-        """Armed, after a fault too: a machine that stood still for seconds latched one."""
+        """Arms, after a fault too: a machine that stood still for seconds may have latched one."""
         status = self.robot.status()
         if status["state"] == "fault":
             print("a fault:", status["why"])
@@ -39,7 +39,7 @@ class Stage:
         return True
 
     def drive_on(self, speed_m_s=0.5):
-        """Armed, and the true wheels turn."""
+        """Armed, and the simulated wheels turn."""
         self.wait_for("idle", "armed", "fault")
 
         def turning():
@@ -56,7 +56,7 @@ class Stage:
 
 
 def granted(ask, what="it is granted", shown=str):
-    """Asks until it is neither refused nor answered with False."""
+    """Calls `ask` until it is neither refused nor answered with False."""
 
     refusals = [""]
 

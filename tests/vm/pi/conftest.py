@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of a Raspberry Pi's own pins: only there, where `make vm` says that it is for that."""
+"""Tests of a Raspberry Pi's own pins: only in the machine that `make vm` starts for them."""
 
 import os
 

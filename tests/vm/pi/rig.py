@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two PWM channels and two GPIO lines of the Pi as its kernel sees them.
+"""Two PWM channels and two GPIO lines of the Pi, as its kernel reports them.
 
 Source: kernel, drivers/pinctrl/bcm/pinctrl-bcm2835.c, gpiolib's debugfs (drivers/gpio/gpiolib.c,
 gpiolib_dbg_show) and drivers/pwm/pwm-bcm2835.c.

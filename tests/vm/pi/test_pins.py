@@ -16,7 +16,7 @@ from motord_hal.fieldbus.ports import EventKind
 
 
 async def reaches(line, condition, what):
-    """Armed, until it holds: a slow machine lets set-points get old, and the line stops then."""
+    """Keeps it armed until the condition holds: old set-points of a slow machine stop it."""
     try:
         async with asyncio.timeout(3 * GENEROUS_S):
             while not condition():
@@ -45,7 +45,7 @@ async def test_the_bridge_is_forward_backward_braked_and_without_power():
     assert level("pwm0") == level("pwm1") == 0.0
 
 
-async def test_a_loop_that_dies_stops_the_motor():
+async def test_a_dead_loop_stops_the_motor():
     async with running(spec_of()) as line:
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
         await reaches(line, are("forward", 0.5), "forward")
@@ -55,7 +55,7 @@ async def test_a_loop_that_dies_stops_the_motor():
 
 
 async def turn():
-    """What the one who is killed does."""
+    """The work of the process that is killed."""
     async with running(spec_of()) as line:
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
         await reaches(line, are("forward", 0.5), "forward")

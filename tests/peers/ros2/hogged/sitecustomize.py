@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""With this folder in PYTHONPATH, motord-bus has pure-Python threads beside it in its process,
-which want the GIL all the time: as many as HOGS says, from SIGUSR1 on. From SIGWINCH on its event
-loop stands still. Either ends with SIGUSR2."""
+"""With this folder in PYTHONPATH, SIGUSR1 starts HOGS pure-Python threads in the process of
+motord-bus, which compete for the GIL all the time. SIGWINCH stops its event loop. SIGUSR2 ends
+either."""
 
 import os
 import signal

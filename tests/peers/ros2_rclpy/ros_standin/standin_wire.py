@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between processes of the stand-in: a hub that passes everything on to all others, in the place of
-a middleware. Its socket is named by the environment."""
+"""The stand-in's middleware: a hub that passes each message of a process to all others. The
+environment names its socket."""
 
 import contextlib
 import itertools
@@ -57,13 +57,13 @@ def hub(path):
 
 
 class Graph:
-    """The endpoints of this process, and what it knows of those of others."""
+    """The endpoints of this process, and those that others announced."""
 
     def __init__(self):
         self.lock = threading.RLock()
         self.numbers = itertools.count(1)
         self.here, self.there = {}, {}
-        """Endpoints: objects of ours, and what others announced of theirs, by (pid, number)."""
+        """By (pid, number): our endpoints as objects, and what others announced of theirs."""
         self._socket = socket(AF_UNIX)
         self._socket.connect(os.environ[HUB])
         threading.Thread(target=self._read, daemon=True).start()
@@ -94,7 +94,7 @@ class Graph:
         return [(key, about) for key, about in found if about[:2] == (role, name)]
 
     def send(self, role, name, *what):
-        """Every endpoint of that role and name, here too."""
+        """Send to every endpoint of that role and name, those of this process included."""
         self._send(("tell", role, name, what))
         self._hand(role, name, what)
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """CAN lines of both engines on interfaces of the kernel: two controllers that are cabled to each
-other, an interface that goes down, one that is taken away, one whose queue is full, and how long a
-set-point takes. What is sent on the bus is judged by the contract suite, on vcan.
+other, an interface that goes down, one that is removed, one with a full queue, and how long a
+set-point takes. The contract suite checks the frames on the bus, on vcan.
 
-QEMU's SJA1000 mixes up what follows a remote frame, which ODrives are asked by: those are at the
-other end of a vxcan, which is a cable without controllers.
+QEMU's SJA1000 corrupts what follows a remote frame, and motord sends remote frames to ODrives: so
+these are at the other end of a vxcan, which is a cable without controllers.
 """
 
 import math
@@ -80,14 +80,12 @@ async def drive(rig, peer):
 async def back_disarmed(rig, peer):
     await rig.ready()
     mark = len(peer.axes[0].velocities())
-    await until(lambda: len(peer.axes[0].velocities()) > mark + 3, "it is sent something")
+    await until(lambda: len(peer.axes[0].velocities()) > mark + 3, "a frame is sent")
     assert set(peer.axes[0].velocities()[mark:]) == {0.0}
     assert peer.axes[0].state == IDLE
 
 
-async def test_an_interface_that_is_set_down_is_reported_and_the_drives_come_back_disarmed(
-    rig, peer
-):
+async def test_an_interface_set_down_is_reported_and_its_drives_return_disarmed(rig, peer):
     await drive(rig, peer)
     ip("set", OWN, "down")
     try:
@@ -100,7 +98,7 @@ async def test_an_interface_that_is_set_down_is_reported_and_the_drives_come_bac
     assert rig.kinds().count(EventKind.LINE_OPEN) == 2
 
 
-async def test_a_queue_that_is_full_loses_frames_counts_them_and_the_newest_arrives(rig, peer):
+async def test_a_full_queue_counts_its_lost_frames_and_the_newest_arrives(rig, peer):
     await drive(rig, peer)
     output("tc", "qdisc", "replace", "dev", OWN, "root", "netem", "delay", "100ms", "limit", "2")
     try:
@@ -144,9 +142,7 @@ def adapter():
 
 
 @pytest.mark.parametrize("kind", ENGINES.values())
-async def test_an_interface_that_is_taken_away_and_comes_back_brings_its_drives_disarmed(
-    kind, adapter
-):
+async def test_an_interface_removed_and_added_again_has_its_drives_disarmed(kind, adapter):
     peer = Peer(kind, (0, 3), f"socketcan:{adapter}")
     async with living(peer), running(spec_of(peer, 0, 3)) as rig:
         await drive(rig, peer)
@@ -160,7 +156,7 @@ async def test_an_interface_that_is_taken_away_and_comes_back_brings_its_drives_
 
 
 @pytest.mark.parametrize("kind", ENGINES.values())
-async def test_can_fd_is_refused_in_words_on_an_interface_that_does_not_carry_it(kind):
+async def test_can_fd_on_an_interface_without_it_is_refused_with_the_reason(kind):
     ip("add", "classic0", "type", "vcan")
     ip("set", "classic0", "mtu", "16")
     ip("set", "classic0", "up")
@@ -168,7 +164,7 @@ async def test_can_fd_is_refused_in_words_on_an_interface_that_does_not_carry_it
         peer = Peer(kind, (0,), "socketcan:classic0")
         spec = spec_of(peer, 0, data_baudrate=2_000_000)
         async with living(peer), running(spec) as rig:
-            await until(lambda: rig.events != [], "the line says something")
+            await until(lambda: rig.events != [], "an event of the line")
             assert rig.kinds() == [EventKind.LINE_LOST]
             assert "carries no CAN FD" in rig.events[0].text
     finally:

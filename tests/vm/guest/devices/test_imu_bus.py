@@ -46,7 +46,7 @@ def bus():
 
 
 class Stub:
-    """The chip: its registers, as the bus keeps them."""
+    """The chip: its registers, which the bus keeps."""
 
     def __init__(self, bus, identity=0x68):
         self.device = I2cDevice.open(bus, ADDRESS)
@@ -54,7 +54,7 @@ class Stub:
         self.turn = 0
 
     def say(self, gyro_z, up=8192):
-        """One count of noise, as a live one has."""
+        """A sample with one count of noise, like a real chip's."""
         self.turn ^= 1
         row = struct.pack(">7h", self.turn, 0, up, 0, 0, 0, gyro_z)
         for place, byte in enumerate(row):

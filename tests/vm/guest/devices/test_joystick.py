@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A joystick as the kernel has it (uinput): wheels turn only while its dead-man button is held."""
+"""A joystick of the kernel (uinput): wheels turn only while its dead-man button is held."""
 
 import os
 from pathlib import Path
@@ -31,7 +31,7 @@ def pad():
 
 @pytest.fixture
 def stage(tmp_path, simulator, monkeypatch):
-    """The daemon, whose package has no evdev of its own: it is given the distribution's."""
+    """The daemon. Its package has no evdev, so it gets the distribution's."""
     plug()
     given = tmp_path / "packages"
     given.mkdir()
@@ -54,8 +54,8 @@ def turns(stage):
 
 
 def drives(stage, pad):
-    """The wheels turn by the held button. It is let go first where the robot has to be armed anew:
-    who requests motion all the while arms nothing."""
+    """The wheels turn by the held button. It is released first where the robot has to be armed
+    again: arming is refused while a source requests motion."""
     if not stage.robot.status()["armed"]:
         push(pad, (EV_KEY, BTN_TL, 0))
         stage.armed()

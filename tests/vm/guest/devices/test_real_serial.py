@@ -40,7 +40,7 @@ def test_a_robot_on_a_uart_drives_and_comes_to_rest(tmp_path, simulator):
 
 
 @pytest.mark.parametrize("kind", ["by serial number", "by id"])
-def test_an_adapter_that_was_pulled_is_found_again_disarmed(tmp_path, simulator, kind):
+def test_a_pulled_adapter_is_found_again_and_disarmed(tmp_path, simulator, kind):
     by_id = next(p for p in os.listdir("/dev/serial/by-id") if ADAPTER_SERIAL in p)
     port = {"by serial number": f"usb:{ADAPTER_SERIAL}", "by id": f"/dev/serial/by-id/{by_id}"}
     with (
@@ -49,13 +49,13 @@ def test_an_adapter_that_was_pulled_is_found_again_disarmed(tmp_path, simulator,
     ):
         stage.drive_on()
         before = adapter()
-        somebody = os.open(before, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        other = os.open(before, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         pull()
         stage.wait_for("fault")
         wait_until(lambda: sim.truth().at_rest, "the drive's own watchdog stops the wheels")
         plug()
         assert adapter() != before  # a process still holds the old number
-        os.close(somebody)
+        os.close(other)
         wait_until(lambda: stage.robot.status()["lines"]["rs485"]["state"] == "ready", "open again")
         assert stage.state() == "fault"
         assert stage.rests_without_power()
@@ -75,14 +75,14 @@ def test_the_kernel_counts_what_a_uart_received():
         os.close(fd)
 
 
-def test_an_ftdi_adapter_that_keeps_bytes_back_is_sent_not_to():
+def test_opening_an_ftdi_adapter_shortens_its_latency_timer():
     timer = Path("/sys/class/tty", Path(adapter()).name, "device/latency_timer")
     timer.write_text("16")
     open_port(spec_of(adapter(), 115200, "none", DirectionSpec())).close()
     assert int(timer.read_text()) == 1
 
 
-def test_a_plugged_adapter_has_a_short_latency_timer_by_the_udev_rule():
+def test_the_udev_rule_shortens_the_latency_timer_of_a_plugged_adapter():
     pull()
     plug()
     timer = Path("/sys/class/tty", Path(adapter()).name, "device/latency_timer")
@@ -97,11 +97,11 @@ def test_a_uart_hands_bytes_on_at_once():
         os.close(fd)
 
 
-def test_a_uart_that_cannot_turn_a_transceiver_reports_what_else_can():
+def test_a_uart_without_rs485_mode_is_refused_with_the_gpio_alternative():
     asked = DirectionSpec(kind=DirectionKind.KERNEL)
     with pytest.raises(PortError, match=r'not offered by this port .*direction = "gpio"'):
         open_port(spec_of(UART, 115200, "none", asked))
-    os.close(open_exclusively(UART))  # and holds nothing
+    os.close(open_exclusively(UART))  # the port is free again
 
 
 @pytest.mark.parametrize("talking", [1, 0], ids=["active high", "active low"])
@@ -116,5 +116,5 @@ def test_a_gpio_line_turns_the_transceiver_while_the_line_talks(tmp_path, simula
             wait_until(lambda: level_of("DE") == talking, "it talks")
             wait_until(lambda: level_of("DE") != talking, "it listens")
             granted(stage.robot.disarm, "disarmed", stage.logged)
-            stage.process.kill()  # the kernel gives the line back: it falls to its pull
-            wait_until(lambda: level_of("DE") == 0, "nobody drives the pair")
+            stage.process.kill()  # the kernel frees the line, which falls to its pull
+            wait_until(lambda: level_of("DE") == 0, "the pair is not driven")

@@ -10,7 +10,7 @@ from motord_hal.fieldbus.ports import JointSpec, LineSpec, PinsSpec
 
 
 def laid_out(drives):
-    """Of each: a PWM channel for each pin that needs one, a GPIO line for each other one."""
+    """Each bridge's pins: a PWM channel for each that needs one, a GPIO line for each other."""
     channels, lines = (f"pwm{n}" for n in itertools.count()), iter(LINES)
     bridges = {drive: find_profile(drive).bridge for drive in drives}
     return {

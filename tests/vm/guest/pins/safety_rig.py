@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated GPIO chip that can be taken away, and a loop that has its pins of safety there.
+"""A simulated GPIO chip that can be removed, and a loop with its safety pins on it.
 
 Source: kernel, Documentation/admin-guide/gpio/gpio-sim.rst.
 """
@@ -32,7 +32,7 @@ class Lines:
         return float((self.folder / f"sim_gpio{NAMES.index(name)}/value").read_text())
 
     def drive(self, name, level):
-        """From outside, as a contact does."""
+        """Drives a line from outside, like a contact."""
         pull = self.folder / f"sim_gpio{NAMES.index(name)}/pull"
         pull.write_text("pull-up" if level else "pull-down")
 
@@ -58,7 +58,7 @@ def chip():
     try:
         yield Lines(Path("/sys/devices/platform", device, number), made)
     finally:
-        if (made / "live").read_text().strip() == "1":  # the kernel refuses what it is already
+        if (made / "live").read_text().strip() == "1":  # the kernel refuses an unchanged value
             (made / "live").write_text("0")
         for folder in (*(bank / f"line{n}" for n in range(len(NAMES))), bank, made):
             folder.rmdir()
@@ -139,7 +139,7 @@ def rt_guard(estop_fd, watchdog_fd):
 
 
 def reset(loop, count):
-    """Request it with wheels that are there and at rest, and give it some ticks."""
+    """Requests a reset with fresh feedback of resting wheels, and waits for some ticks."""
     for index in (0, 1):
         Exchange.of_loop().put_feedback(
             index,

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Quadrature encoders on the kernel's own GPIO: every edge of its simulated lines is counted, and
-what is wrong with them is reported.
+faults of the lines are reported.
 
 Source: kernel, kernel/irq/irq_sim.c (6.1): an interrupt that waits is a bit, not a number.
 """
@@ -29,7 +29,7 @@ pytestmark = [
 
 
 class Wheel:
-    """Turned by hand: the levels that an encoder would make."""
+    """An encoder that the test turns, by the levels of its lines."""
 
     def __init__(self, rig):
         self.rig, self.position = rig, 0
@@ -63,7 +63,7 @@ async def test_every_edge_is_counted_forward_and_back_from_any_place(rig, begin)
     async with running(with_encoder(rig)) as line:
         await line.ready()
         for edges in (1, 7, -3, -20, 40, -1):
-            for _ in range(abs(edges)):  # the simulated lines merge edges that are not waited for
+            for _ in range(abs(edges)):  # the simulated lines merge edges in quick succession
                 wheel.turn(1 if edges > 0 else -1)
                 await until(count_is(line, wheel.position - begin), f"edge {wheel.position}")
         assert "encoder_lost" not in line.line.stats().errors
@@ -71,7 +71,7 @@ async def test_every_edge_is_counted_forward_and_back_from_any_place(rig, begin)
 
 
 @pytest.mark.smoke
-async def test_a_wheel_that_turns_is_measured_and_one_that_stands_is_at_rest(rig):
+async def test_a_turning_wheel_is_measured_and_a_still_one_is_at_rest(rig):
     wheel = Wheel(rig)
     async with running(with_encoder(rig)) as line:
         await line.ready()
@@ -84,7 +84,7 @@ async def test_a_wheel_that_turns_is_measured_and_one_that_stands_is_at_rest(rig
         await until(lambda: line.loop.exchange.take_feedback(0).velocity_rad_s == 0.0, "rest")
 
 
-async def test_edges_of_before_the_line_was_opened_do_not_count(rig):
+async def test_edges_before_the_line_was_opened_do_not_count(rig):
     wheel = Wheel(rig)
     wheel.turn(13)
     async with running(with_encoder(rig)) as line:
@@ -92,7 +92,7 @@ async def test_edges_of_before_the_line_was_opened_do_not_count(rig):
         assert line.loop.exchange.take_feedback(0).count == 0
 
 
-async def test_a_channel_that_is_something_else_s_is_reported_with_joint_channel_and_owner(rig):
+async def test_an_encoder_channel_in_use_is_reported_with_joint_channel_and_owner(rig):
     fd = request_outputs(LABEL, [Wanted(line=B, purpose="a test")], "coffee machine")
     try:
         async with running(with_encoder(rig)) as line:

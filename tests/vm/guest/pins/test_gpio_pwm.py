@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motor bridges on the kernel's own GPIO and PWM: what the pins are when the line says so, also
-when it is stopped, starved, killed, or its pins are another program's."""
+"""Motor bridges on the kernel's own GPIO and PWM: the levels of the pins when the line drives, and
+when it is stopped, starved or killed, or another program has its pins."""
 
 import asyncio
 import contextlib
@@ -44,12 +44,12 @@ pytestmark = [
 
 
 def fail_with(number):
-    """Let the PWM chip refuse everything with this errno; 0: nothing."""
+    """Makes the PWM chip refuse everything with this errno; 0: nothing."""
     FAILING.write_text(str(number))
 
 
 async def armed(line):
-    """Armed; a busy machine may hold the set-points up for longer than they live."""
+    """Arms, repeatedly if needed: a busy machine may delay set-points until they are too old."""
     async with asyncio.timeout(GENEROUS_S):
         while line.states() != {DriveState.ARMED}:
             await line.ready()
@@ -59,7 +59,7 @@ async def armed(line):
 
 
 async def reaches(line, condition, what):
-    """Armed, until it holds: a slow machine lets set-points get old, and the line stops then."""
+    """Keeps it armed until the condition holds: old set-points of a slow machine stop it."""
     try:
         async with asyncio.timeout(GENEROUS_S):
             while not condition():
@@ -146,7 +146,7 @@ async def test_a_servo_has_the_pulses_of_its_angle_while_it_is_armed_as_the_kern
 
 
 @pytest.mark.smoke
-async def test_a_loop_that_dies_brakes_the_motor_and_then_takes_its_power(rig):
+async def test_a_dead_loop_brakes_the_motor_and_then_cuts_its_power(rig):
     async with running(spec_of(rig, "bts7960")) as line:
         await armed(line)
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
@@ -171,7 +171,7 @@ async def test_cancelling_the_line_leaves_no_power_and_no_pulses(rig):
     assert (rig.chip / "pwm0/enable").read_text().strip() == "0"
 
 
-async def test_a_fault_pin_is_seen_reported_and_keeps_it_from_being_armed(rig):
+async def test_a_fault_pin_is_reported_and_prevents_arming(rig):
     rig.drive("PIN11", 1)
     async with running(spec_of(rig, "drv8871", fault=True)) as line:
         await line.ready()
@@ -185,7 +185,7 @@ async def test_a_fault_pin_is_seen_reported_and_keeps_it_from_being_armed(rig):
         await line.line.arm()
 
 
-async def test_a_fault_that_comes_while_arming_waits_keeps_a_bridge_from_it(rig):
+async def test_a_fault_while_arming_waits_prevents_arming(rig):
     rig.drive("PIN11", 1)
     async with running(spec_of(rig, "drv8871", fault=True)) as line:
         await line.ready()
@@ -217,7 +217,7 @@ async def test_a_pump_pin_changes_for_as_long_as_the_motor_may_move(rig):
         assert rig.level("PIN10") == 0.0
 
 
-async def test_a_line_that_is_something_else_s_is_reported_with_joint_pin_and_owner(rig):
+async def test_a_gpio_line_in_use_is_reported_with_joint_pin_and_owner(rig):
     fd = request_outputs(LABEL, [Wanted(line="PIN0", purpose="a test")], "coffee machine")
     try:
         async with running(spec_of(rig, "bts7960")) as line:
@@ -242,7 +242,9 @@ async def test_a_line_that_is_something_else_s_is_reported_with_joint_pin_and_ow
         ({"where": {"rpwm": "pwm0", "lpwm": "pwm1", "r_en": "GPIO99"}}, "pin r_en: no GPIO line"),
     ],
 )
-async def test_what_is_not_there_is_reported_with_what_there_is(rig, changes, words):
+async def test_a_missing_chip_channel_or_line_is_reported_with_the_present_ones(
+    rig, changes, words
+):
     async with running(spec_of(rig, "bts7960", **changes)) as line:
         await until(lambda: EventKind.LINE_LOST in line.kinds())
         assert words in line.events[0].text
@@ -250,7 +252,7 @@ async def test_what_is_not_there_is_reported_with_what_there_is(rig, changes, wo
             await line.line.arm()
 
 
-async def test_a_channel_that_still_runs_from_before_is_stopped_first(rig):
+async def test_a_channel_left_running_is_stopped_first(rig):
     async with running(spec_of(rig, "cytron-mdd")) as line:
         await line.ready()
     folder = rig.chip / "pwm0"
@@ -264,7 +266,7 @@ async def test_a_channel_that_still_runs_from_before_is_stopped_first(rig):
 
 
 @pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails on request")
-async def test_a_motor_that_still_runs_from_before_and_cannot_be_stopped_is_not_turned(rig):
+async def test_a_motor_left_running_that_cannot_be_stopped_is_not_driven(rig):
     where = places("cytron-mdd")
     async with running(spec_of(rig, "cytron-mdd")) as line:
         await line.ready()
@@ -286,7 +288,7 @@ async def test_a_motor_that_still_runs_from_before_and_cannot_be_stopped_is_not_
 
 
 @pytest.mark.skipif(not FAILING.exists(), reason="only the module pwm-sim fails on request")
-async def test_a_chip_that_fails_is_reported_and_the_line_comes_back_without_power(rig):
+async def test_a_failing_chip_is_reported_and_the_line_returns_without_power(rig):
     async with running(spec_of(rig, "pwm-pwm")) as line:
         await armed(line)
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
@@ -328,14 +330,14 @@ asyncio.run(main())
 """
 
 
-def test_what_kill_9_leaves_behind_is_known_of_every_bridge_and_stop_all_ends_it(rig, capsys):
+def test_stop_all_ends_what_kill_9_leaves_behind_on_every_bridge(rig, capsys):
     """The pulses go on: sysfs has no watchdog. GPIO lines fall back to their pull here; not every
     chip does that."""
     code = KILLED.format(path=sys.path, lines=str(rig.lines), chip=str(rig.chip))
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
 
         def held():
-            """Stopped while all of them turn: set-points of a slow machine get old now and then."""
+            """Stops it while all bridges are on: set-points of a slow machine get old at times."""
             child.send_signal(signal.SIGSTOP)
             os.waitpid(child.pid, os.WUNTRACED)
             if all_forward(rig):

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.timeout(300)
 
 
 @pytest.mark.smoke
-def test_a_closed_contact_lets_the_loop_be_and_an_open_one_is_an_emergency_stop():
+def test_only_an_open_contact_is_an_emergency_stop():
     with chip() as lines:
         lines.drive(CONTACT, 0)
         with looped() as loop:
@@ -31,7 +31,7 @@ def test_a_closed_contact_lets_the_loop_be_and_an_open_one_is_an_emergency_stop(
 
 def test_a_broken_wire_stops_because_the_chip_pulls_the_line_up():
     with chip() as lines, looped(pull=Bias.PULL_UP) as loop:
-        assert lines.level(CONTACT) == 1.0  # by the request's bias: nothing drives it
+        assert lines.level(CONTACT) == 1.0  # by the bias of the request: nothing drives the line
         assert loop.read_state().faults == ("estop",)
 
 
@@ -58,7 +58,7 @@ def test_a_contact_that_opens_between_two_ticks_is_an_emergency_stop():
             wait_until(lambda: loop.read_state().faults == ("estop",), "the emergency stop")
 
 
-def test_a_chip_that_is_gone_is_an_emergency_stop_that_no_reset_clears():
+def test_a_removed_chip_is_an_emergency_stop_that_no_reset_clears():
     with chip() as lines:
         lines.drive(CONTACT, 0)
         with looped() as loop:
@@ -72,7 +72,7 @@ def test_a_chip_that_is_gone_is_an_emergency_stop_that_no_reset_clears():
 
 
 @pytest.mark.smoke
-def test_the_watchdogs_pin_changes_while_all_live_and_is_low_when_asyncio_hangs():
+def test_the_watchdog_pin_toggles_and_is_low_when_asyncio_hangs():
     with chip() as lines, looped() as loop:
         levels = set()
 
@@ -89,7 +89,7 @@ def test_the_watchdogs_pin_changes_while_all_live_and_is_low_when_asyncio_hangs(
         assert loop.status().watchdog_edges == seen
 
 
-def test_the_watchdogs_pin_is_low_when_the_loop_has_ended():
+def test_the_watchdog_pin_is_low_when_the_loop_has_ended():
     with chip() as lines:
         with looped() as loop:
             loop.beat()
@@ -97,7 +97,7 @@ def test_the_watchdogs_pin_is_low_when_the_loop_has_ended():
         assert lines.level(PUMP) == 0.0
 
 
-def test_a_pull_is_refused_on_a_chip_whose_driver_would_ignore_it():
+def test_a_pull_is_refused_on_a_chip_with_a_driver_that_ignores_it():
     wanted = Wanted(line=CONTACT, purpose="safety.estop")
     with gpio_chip("tegra234-gpio", CONTACT):
         with pytest.raises(PortError, match=r'safety.estop: the chip "tegra234-gpio" has no pulls'):
@@ -105,7 +105,7 @@ def test_a_pull_is_refused_on_a_chip_whose_driver_would_ignore_it():
         os.close(request_edges("tegra234-gpio", wanted, "motord", Bias.AS_IS, rising=True))
 
 
-def test_a_label_or_a_name_that_is_not_the_only_one_is_refused():
+def test_an_ambiguous_chip_label_or_line_name_is_refused():
     wanted = Wanted(line="A", purpose="safety.estop")
     twice = gpio_chip("motord-twice", "A", "B", "A")
     with twice, pytest.raises(PortError, match=r"safety\.estop: lines 0, 2 of this chip have the"):
@@ -115,7 +115,7 @@ def test_a_label_or_a_name_that_is_not_the_only_one_is_refused():
         request_edges("motord-twice", wanted, "motord", Bias.AS_IS, rising=True)
 
 
-def test_a_line_that_something_has_is_named_with_its_owner():
+def test_a_line_in_use_is_named_with_its_owner():
     wanted = Wanted(line=CONTACT, purpose="safety.estop")
     with chip(), contextlib.ExitStack() as unless_ended:
         first = request_edges(LABEL, wanted, "somebody", Bias.PULL_UP, rising=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the emergency stop's contact to the pins of the motors, all of it the kernel's own."""
+"""From the emergency stop's contact to the pins of the motors, all of them the kernel's."""
 
 import time
 
@@ -23,7 +23,7 @@ pull = false
 """
 
 
-def test_an_opened_contact_ends_the_pulses_of_every_motor_and_then_their_power(capsys):
+def test_an_open_contact_ends_every_motors_pulses_and_then_its_power(capsys):
     name = "estop-pwm"
     with (
         pwm(name, SAFETY) as (sim, robot),

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon killed at full speed under systemd, for each kind of line: who stops the wheels, and
-that it comes back disarmed. Prints a row of docs/safety.md for each."""
+"""The daemon is killed at full speed under systemd, for each kind of line: what stops the wheels,
+and that it comes back disarmed. Prints a row of docs/safety.md for each."""
 
 import os
 import signal
@@ -12,11 +12,11 @@ from unit import prepared, started
 from unit_robots import KINDS
 
 SMOKE = pytest.param("pwm", marks=pytest.mark.smoke)
-"""The quickest, for nothing simulated has to keep its time."""
+"""The quickest kind, because nothing simulated has to keep time."""
 
 
 @pytest.mark.parametrize("kind", [SMOKE, *(kind for kind in KINDS if kind != "pwm")])
-def test_wheels_of_a_killed_daemon_come_to_rest_and_it_comes_back_disarmed(kind, capsys):
+def test_the_wheels_of_a_killed_daemon_rest_and_it_returns_disarmed(kind, capsys):
     name = f"killed-{kind}"
     with (
         KINDS[kind](name) as (sim, robot),

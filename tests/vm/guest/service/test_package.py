@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Debian package: what it puts where, and what is left when it has gone."""
+"""The Debian package: what it installs where, and what a removal leaves."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def test_the_unit_is_hardened():
     exposure("motord@demo.service")
 
 
-def test_the_unit_is_hardened_also_where_its_robot_needs_most():
+def test_the_unit_is_hardened_for_the_most_demanding_robot_too():
     robot = "pi4-encoders"
     drop_in = output("motord", "unit", f"/usr/share/motord/robots/{robot}.toml")
     assert "ReadWritePaths" in drop_in

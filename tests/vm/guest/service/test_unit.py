@@ -30,8 +30,8 @@ def drives(simulator):
 
 @pytest.fixture
 def unit(drives):
-    """Running, idle, nothing wrong with its drives; the test before may have left it running: a
-    start costs an emulated machine ten seconds."""
+    """Running and idle, with its drives in order. It may still run from the test before: a start
+    takes an emulated machine ten seconds."""
     drives.clear_faults_script()
     with reached(NAME, drives) as unit:
         granted(unit.is_idle, "it is idle", unit.logged)
@@ -39,7 +39,7 @@ def unit(drives):
 
 
 @pytest.mark.smoke
-def test_it_runs_on_time_as_a_user_without_rights(unit):
+def test_it_runs_in_real_time_as_an_unprivileged_user(unit):
     status = Path(f"/proc/{unit.main_pid()}/status").read_text().splitlines()
     found = dict(line.split(":\t", 1) for line in status if ":\t" in line)
     assert Path(f"/proc/{unit.main_pid()}").owner() == "motord"
@@ -52,9 +52,9 @@ def test_it_runs_on_time_as_a_user_without_rights(unit):
     unit.drive_on()
 
 
-def test_it_reaches_the_devices_of_motors_and_no_other(unit):
+def test_it_can_open_motor_devices_and_no_others(unit):
     assert properties(UNIT, "DevicePolicy")["DevicePolicy"] == "closed"
-    # from inside its own limits: the disk's file is there, and opening it is refused by the kernel
+    # within the unit's limits: the disk's device file exists, and the kernel refuses to open it
     limits = ["-p", "DevicePolicy=closed", "-p", "DeviceAllow=char-ttyS rw"]
     script = "exec 2>&1; head -c 1 /dev/vda | wc -c; dd if=/dev/ttyS1 iflag=noctty,nonblock count=0"
     done = output("systemd-run", "--quiet", "--pipe", "--wait", *limits, "sh", "-c", script)
@@ -86,7 +86,7 @@ def test_the_second_process_may_have_the_lowest_real_time_priority_and_no_other(
     assert done.splitlines() == ["1", "Operation not permitted"]
 
 
-def test_members_of_its_group_command_it_and_nothing_else(unit):
+def test_only_members_of_its_group_command_it(unit):
     output("useradd", "--groups", "motord", "driver")
     output("useradd", "visitor")
     try:
@@ -94,7 +94,7 @@ def test_members_of_its_group_command_it_and_nothing_else(unit):
         # an emulated drive may take longer than the daemon waits
         wait_until(lambda: status_of(*arm) == 0, "armed by a member", unit.logged)
         output("runuser", "-u", "visitor", "--", "sh", "-c", "! motord disarm")
-        assert unit.state() != "idle"  # a drive of a busy machine may have been late: a fault
+        assert unit.state() != "idle"  # or a fault: a drive of a busy machine may have been late
     finally:
         output("userdel", "driver")
         output("userdel", "visitor")
@@ -117,7 +117,7 @@ def latched() -> str:
     return json.dumps(faults[-1]["MOTORD_FAULT"]) if faults else ""
 
 
-def test_the_journal_knows_the_line_the_joints_and_the_faults(unit):
+def test_the_journal_has_fields_for_line_joints_and_faults(unit):
     unit.drive_on()
     unit.sim.inject("fault:at_s=0,unit=1,channel=1,bit=2")
     unit.wait_for("fault")
@@ -157,7 +157,7 @@ def test_a_robot_file_with_mistakes_is_not_tried_again_and_again():
             output("systemctl", "start", "--no-block", "motord@bad.service")
 
             def failed():
-                time.sleep(0.5)  # each look costs the emulated machine a tenth of a second
+                time.sleep(0.5)  # each query takes the emulated machine 0.1 s
                 return properties("motord@bad.service", "ActiveState")["ActiveState"] == "failed"
 
             wait_until(failed, "it has failed")

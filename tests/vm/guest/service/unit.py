@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord@ROBOT.service, patient as an emulated machine asks for, and what can be asked of it."""
+"""motord@ROBOT.service with time-outs for an emulated machine, and queries of its state."""
 
 import contextlib
 import socket
@@ -30,7 +30,7 @@ class Unit(Stage):
         return int(properties(self.unit, "MainPID")["MainPID"])
 
     def is_idle(self):
-        """Requests what is missing."""
+        """Whether it is idle; resets or disarms it if not."""
         state = self.state()
         if state == "fault":
             self.robot.reset()
@@ -39,7 +39,7 @@ class Unit(Stage):
         return state == "idle"
 
     def again(self, old_pid):
-        """Waits for the next process of the unit, and is connected to it."""
+        """Waits for the next process of the unit, and connects to it."""
         self.robot.close()
         self.robot = wait_until(
             lambda: connected(self.name, old_pid), "it is started again", self.logged
@@ -48,8 +48,7 @@ class Unit(Stage):
 
 
 def connected(name, old_pid=0):
-    """None as long as only the old process listens: unix(7), SO_PEERCRED. Costs less than
-    asking systemd."""
+    """A client; None while only the old process listens: SO_PEERCRED, cheaper than systemd."""
     path = Path(f"/run/motord/{name}.sock")
     with contextlib.suppress(ClientError, OSError), socket.socket(socket.AF_UNIX) as probe:
         probe.connect(str(path))
@@ -61,7 +60,7 @@ def connected(name, old_pid=0):
 
 @contextlib.contextmanager
 def prepared(name, more=""):
-    """Its patience; afterwards it is stopped and forgotten."""
+    """Sets its longer time-outs; afterwards the unit is stopped and they are removed."""
     unit = f"motord@{name}.service"
     drop_in = Path(f"/run/systemd/system/{unit}.d/patient.conf")
     drop_in.parent.mkdir(parents=True, exist_ok=True)
@@ -78,7 +77,7 @@ def prepared(name, more=""):
 
 @contextlib.contextmanager
 def reached(name, sim):
-    """Running, started where it was not, and left so."""
+    """The running unit, started if needed, and left running."""
     output("systemctl", "start", f"motord@{name}.service")
     with wait_until(lambda: connected(name), "it listens") as client:
         running = Unit(name, sim, client)
@@ -89,7 +88,7 @@ def reached(name, sim):
 
 @contextlib.contextmanager
 def started(name, sim):
-    """Running, idle or with a fault; stopped afterwards."""
+    """The running unit, idle or with a fault; stopped afterwards."""
     try:
         with reached(name, sim) as running:
             yield running

@@ -21,7 +21,7 @@ SLOW = (
     ("drive_watchdog_s = 0.5", "drive_watchdog_s = 8.0"),
     ("rate_hz = 1000", "rate_hz = 50"),
 )
-"""A machine that is late for seconds is no fault; the drives' own watchdogs bite later still."""
+"""A machine that is late for seconds is no fault; the drives' own watchdogs act later still."""
 
 
 @dataclasses.dataclass
@@ -32,7 +32,7 @@ class Truth:
 
 @dataclasses.dataclass
 class Pins:
-    """What a simulator would report, of a robot that hangs on pins: power and pulses, or none."""
+    """What a simulator would report, for a robot on pins: whether it has power and pulses."""
 
     rig: object
 
@@ -53,7 +53,7 @@ class Pins:
 
 
 def written(source, name, *changes, more=""):
-    """The robot file of a unit, made of one that is shipped."""
+    """The robot file of a unit, made from a shipped one."""
     text = (CONFIG / source).read_text(encoding="utf-8")
     changes = (*changes, (f'name = "{source.removesuffix(".toml")}"', f'name = "{name}"'))
     for old, new in (*SLOW, *changes):

@@ -27,7 +27,7 @@ def _gid(key):
 
 
 class _Logger:
-    """It refuses, as rclpy does, a place in the source that has another severity than before."""
+    """Like rclpy, it refuses another severity from the same place in the source."""
 
     def __init__(self, name):
         self._name, self._places = name, {}
@@ -152,7 +152,7 @@ class _Endpoint:
         """Another endpoint is there."""
 
     def take(self, *what):
-        """Something for this role and name."""
+        """Receives a message for this role and name."""
 
 
 class _Publisher(_Endpoint):
@@ -174,7 +174,7 @@ class _Publisher(_Endpoint):
         graph().send("subscription", self.about[1], sender, self._newest, time.time_ns())
 
     def met(self, about):
-        """One that comes later receives the newest, where that was promised."""
+        """A late subscriber receives the newest message, where the publisher is latched."""
         latched = self.about[4].durability == DurabilityPolicy.TRANSIENT_LOCAL
         if latched and self._newest is not None and about[:2] == ("subscription", self.about[1]):
             self._announce()
