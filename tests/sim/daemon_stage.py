@@ -173,7 +173,7 @@ TRIES = 3
 def was_held_up(error):
     """Whether a motion ended as it must where a busy machine lets the program, or the feedback that
     it moves by, wait for half a second. Past the goal is a failure: it is not among them."""
-    return any(why in str(error) for why in ("stale", "was not looked at"))
+    return any(why in str(error) for why in ("stale", "was not read"))
 
 
 def in_time(move):

@@ -156,8 +156,8 @@ def fit(
     ):
         raise BadData(
             f"the factors would be {factors.left:.3g} (left), {factors.right:.3g} (right) and "
-            f"{factors.track:.3g} (track), too far from 1 for an error of measure: was each "
-            "distance the one that was named, and are the radii of the file about right?"
+            f"{factors.track:.3g} (track), too far from 1 for an error of measurement: "
+            "check each distance that you gave, and the radii in the robot file"
         )
     off = stack.off(factors)
     left_over = int(stack.known.sum()) - len(free)

@@ -165,11 +165,11 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
         raise ValueError("distance, speed, tolerance and time-out have to be finite numbers")
     if not 0.0 < abs(goal.distance_u) <= DISTANCE_MAX_U:
         raise ValueError(
-            f"{goal.distance_u:g} is no distance to go (not 0, at most {DISTANCE_MAX_U:g})"
+            f"a distance of {goal.distance_u:g} is out of range (not 0, at most {DISTANCE_MAX_U:g})"
         )
     if min(goal.velocity_u_s, goal.tolerance_u, goal.timeout_s) < 0.0:
         raise ValueError(
-            "speed, tolerance and time-out are not negative; the distance has the sign"
+            "speed, tolerance and time-out must not be negative; the distance has the sign"
         )
     if goal.timeout_s > TIMEOUT_MAX_S:
         raise ValueError(
@@ -194,13 +194,13 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
 def problem(snapshot: Snapshot, now_ns: int, stale_s: float) -> str | None:
     """Why the odometry says nothing that one may go by. None: it does."""
     if (now_ns - snapshot.stamp_ns) * _NS > stale_s:
-        return "the loop sends nothing any more"
+        return "the loop has stopped publishing its state"
     if any(joint.stale for joint in snapshot.joints):
         return "the odometry is stale: a wheel sends no feedback"
     if (now_ns - snapshot.odometry_stamp_ns) * _NS > stale_s:
         return "the odometry is stale"
     pose = (snapshot.x_m, snapshot.y_m, snapshot.heading_rad, snapshot.odometry_stamp_ns)
-    return None if all(map(math.isfinite, pose)) else "the odometry is no number"
+    return None if all(map(math.isfinite, pose)) else "the odometry is not a number"
 
 
 def obstacle(snapshot: Snapshot) -> str | None:
@@ -228,7 +228,7 @@ class Travel:
         if snapshot.odometry_epoch != self._last.odometry_epoch:
             return "the odometry was reset"
         if (snapshot.stamp_ns - self._last.stamp_ns) * _NS > LOOK_WITHIN_S:
-            return f"it was not looked at for {LOOK_WITHIN_S:g} s"
+            return f"the state was not read for {LOOK_WITHIN_S:g} s"
         turn_rad = math.remainder(snapshot.heading_rad - self._last.heading_rad, math.tau)
         middle_rad = self._last.heading_rad + turn_rad / 2.0 + self._direction_rad
         dx_m, dy_m = snapshot.x_m - self._last.x_m, snapshot.y_m - self._last.y_m
@@ -318,9 +318,9 @@ class Motion:
         if snapshot.owner == self._lease:
             self._commanding = True
         elif self._commanding:
-            return "another source commands" if snapshot.owner else "its commands did not get there"
+            return "another source commands" if snapshot.owner else "its commands no longer arrive"
         elif (now_ns - self._start_ns) * _NS > COMMANDS_WITHIN_S:
-            return "another source commands" if snapshot.owner else "nothing takes its commands"
+            return "another source commands" if snapshot.owner else "its commands do not arrive"
         return None
 
     def _end(self, how: End, why: str, now_ns: int) -> None:

@@ -129,7 +129,7 @@ class PageFile:
                     os.fchmod(fd, 0o644)  # whatever the umask: readers are other users
                     unless_kept.pop_all()
                     return cls(path, fd)
-        raise PageInUse(f"{path} is made and removed again by others: is one daemon started twice?")
+        raise PageInUse(f"other processes create and remove {path}: is one daemon started twice?")
 
     def __enter__(self) -> Self:
         return self

@@ -33,7 +33,7 @@ async def keep(where: str, adapter: Adapter, failures: MutableMapping[str, int])
             again_s, failing = AGAIN_MIN_S, False
         if not failing:
             failing = True
-            text = "%s failed, and is run again, also if it goes on so: %s: %s"
+            text = "%s failed and starts again; more failures are counted, not logged: %s: %s"
             _log.error(text, where, type(error).__name__, error, exc_info=error)
         await asyncio.sleep(again_s)
         again_s = min(2.0 * again_s, AGAIN_MAX_S)

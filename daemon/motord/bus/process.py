@@ -44,9 +44,9 @@ _log = logging.getLogger(__name__)
 @click.option(
     "--supervised",
     is_flag=True,
-    help="For the daemon that starts it: end with stdin, write heartbeats to stdout.",
+    help="Set by the daemon: end at the end of stdin, and write heartbeats to stdout.",
 )
-@click.option("--checked-fd", type=int, hidden=True, help="What the daemon has read in the file.")
+@click.option("--checked-fd", type=int, hidden=True, help="Descriptor of the robot's data.")
 def main(
     robot_file: Path,
     overrides: tuple[str, ...],

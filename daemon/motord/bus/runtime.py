@@ -222,7 +222,7 @@ class Runtime:
         except (LookupError, OSError, ValueError) as error:
             _log.error("%s is off: %s", where, error)
         except BROKEN as error:
-            text = "%s is off: it cannot be made: %s: %s"
+            text = "%s is off: it cannot be created: %s: %s"
             _log.error(text, where, type(error).__name__, error, exc_info=error)
         else:
             return adapter

@@ -106,7 +106,7 @@ def latency(
         show_comparison(pair, as_json=as_json)
         return
     if pause and not suspects:
-        raise click.UsageError("--pause goes with --suspects")
+        raise click.UsageError("--pause needs --suspects")
     from motord.tools.latency.load import LoadError
     from motord.tools.latency.measure import LatencyError, LatencyOptions, Progress, run_latency
 

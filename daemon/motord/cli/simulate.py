@@ -191,7 +191,7 @@ def simulate(
     if robot_file is None:
         raise click.UsageError("Missing argument 'ROBOT.toml'.")
     if tcp is not None and rtu_over_tcp is not None:
-        raise click.UsageError("either --tcp or --rtu-over-tcp")
+        raise click.UsageError("give either --tcp or --rtu-over-tcp")
     robot = load_or_exit(robot_file, overrides)
     stopped = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

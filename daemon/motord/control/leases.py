@@ -232,7 +232,7 @@ class Leases:
         if any(twist) and not lease.wants_motion:
             raise NoLease(
                 f"{words} is more than ten times "
-                "the limit, so it counts as zero: is the unit right? (motord params list)"
+                "the limit, so it counts as zero: check the unit (motord params list)"
             )
         return lease
 
@@ -259,7 +259,7 @@ class Leases:
         if (position_rad or any(velocity_rad_s.values())) and not lease.wants_motion:
             raise NoLease(
                 "a speed or a position is more than ten times its limit, so the command counts as "
-                "zero: is the unit right? (rad, rad/s)"
+                "zero: check the unit (rad, rad/s)"
             )
         return lease
 

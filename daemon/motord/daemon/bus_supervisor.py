@@ -74,7 +74,7 @@ class BusSupervisor:
                     self._again_s = AGAIN_MIN_S
                 self._restarts += 1
                 _log.warning(
-                    "motord-bus %s; it is started again in %g s, the robot goes on without",
+                    "motord-bus %s; it is started again in %g s, the robot goes on without it",
                     why,
                     self._again_s,
                 )
@@ -129,7 +129,7 @@ class BusSupervisor:
             try:
                 self._figures = _figures(line)
             except (ValueError, RecursionError):
-                self._voice.say(f"motord-bus sends what are no figures: {line[:80]!r}")
+                self._voice.say(f"motord-bus sent a line that is not its figures: {line[:80]!r}")
             else:
                 return True
         return False

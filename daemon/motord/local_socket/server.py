@@ -141,7 +141,7 @@ def _clear_away(path: Path) -> None:
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(mode):
-        raise SocketInUse(f"{path} is there and is no socket: give another --socket")
+        raise SocketInUse(f"{path} is there and is not a socket: give another --socket")
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(1.0)
         try:

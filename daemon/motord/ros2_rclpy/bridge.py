@@ -170,7 +170,7 @@ class BridgeSource(Source):
     async def _grant(self, daemon: Client) -> dict[str, Any]:
         """As Source._grant. Raises Wrong."""
         if _shape(await daemon.call("robot")) != _shape(self._description):
-            raise Wrong("the robot file is another than at the start of this bridge: start it anew")
+            raise Wrong("the robot file has changed since this bridge started: restart the bridge")
         if self._limits:
             try:
                 await Tunable(self._robot, daemon.call).change(self._limits)

@@ -213,7 +213,7 @@ async def test_a_throttle_that_is_none_is_none(stage, ports, throttle):
 async def test_a_message_that_is_no_twist_is_refused(stage, ports, message):
     request = {"op": "publish", "topic": "/cmd_vel", "msg": message}
     answer = await exchanged(ports[0], request, until=is_status, token=TOKEN)
-    assert "no Twist" in answer["msg"]
+    assert "neither a Twist" in answer["msg"]
 
 
 async def test_an_emergency_stop_behind_a_heap_of_calls_is_obeyed_and_each_is_answered(

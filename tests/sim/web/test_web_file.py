@@ -164,7 +164,7 @@ async def test_too_many_checks_at_once_are_refused_and_run_one_after_the_other(s
 async def test_a_file_that_is_gone_or_no_text_is_reported(stage, connect):
     page = await connect()
     stage.file.write_bytes(b"# \xff\n")
-    assert "is no UTF-8" in (await page.answer("file.read"))["error"]
+    assert "is not UTF-8" in (await page.answer("file.read"))["error"]
     stage.file.unlink()
     assert "cannot be read" in (await page.answer("file.read"))["error"]
 

@@ -53,7 +53,10 @@ async def test_it_is_run_again_until_it_works_and_each_failure_is_counted_but_re
     assert adapter.lives == len(ERRORS) + 1
     assert failures == {"publish.bad": len(ERRORS)}
     assert [row.getMessage() for row in caplog.records] == [
-        "publish.bad failed, and is run again, also if it goes on so: RuntimeError: camera is gone"
+        (
+            "publish.bad failed and starts again; more failures are counted, not logged:"
+            " RuntimeError: camera is gone"
+        )
     ]
 
 

@@ -11,7 +11,7 @@ import time
 DRAINED_AFTER_S = 1.0
 """By then the queues are empty again."""
 LOOKS_A_GAP = 4
-STOOD_STILL = "what takes commands stood still: it may have waited for that to end"
+STOOD_STILL = "motord-bus stood still for a while, so this may be old: send it again"
 """Why something is refused then."""
 
 

@@ -39,8 +39,8 @@ FUTURE_S = 0.5
 """A command from further ahead has another idea of the time than we: its age cannot be known."""
 OLD_S = 3600.0
 """Whatever is older is as old as this: it is not obeyed."""
-ZERO_STAMP = "its stamp is zero: when was it given? (or stamped = false)"
-AHEAD = "its stamp is in the future: do the clocks agree?"
+ZERO_STAMP = "its stamp is zero: send the time, or set stamped = false"
+AHEAD = "its stamp is in the future: synchronise the clocks"
 ABSURD = 10.0
 """Times the limit: OUT_OF_RANGE of csrc/loop/command/arbiter.c."""
 SAY_AGAIN_S = 10.0
@@ -125,10 +125,9 @@ class CommandGate:
             return
         self._voice.say(
             f"input.{self._name}: {sender or 'an unknown sender'} requests {linear_m_s:g} m/s,"
-            f" {angular_rad_s:g} rad/s, {lateral_m_s:g} m/s sideways: no number, or more than"
-            f" {ABSURD:g} times the limit in"
-            " the robot file, so it counts as"
-            " zero unless a higher limit is in force: is the unit right?"
+            f" {angular_rad_s:g} rad/s, {lateral_m_s:g} m/s sideways: not a number, or more"
+            f" than {ABSURD:g} times the limit in the robot file, so it counts as zero unless a"
+            " higher limit is in force: check the unit"
         )
 
     def drive_joints(self, message: object, waited_s: float = 0.0) -> None:
@@ -196,7 +195,7 @@ class CommandGate:
             stamp_s = _stamp_s(message)
             known = [self._joints.get(name, -1) for name in names]
         except (KeyError, TypeError, OverflowError) as error:
-            raise self._no(f"it is no JointState: {error}") from None
+            raise self._no(f"it is not a JointState: {error}") from None
         if -1 in known:
             raise self._no(f"it names a joint that is not one of {', '.join(self._joints)}")
         return known, lists, stamp_s
@@ -212,7 +211,7 @@ class CommandGate:
             angular_rad_s = _number(twist["angular"]["z"])
             stamp_s = _stamp_s(message)
         except (AttributeError, KeyError, TypeError, OverflowError) as error:
-            raise self._no(f"it is no Twist and no TwistStamped: {error}") from None
+            raise self._no(f"it is neither a Twist nor a TwistStamped: {error}") from None
         return (linear_m_s, angular_rad_s, lateral_m_s), self._age_s(stamp_s)
 
     def _age_s(self, stamp_s: float | None) -> float:
@@ -290,7 +289,7 @@ def _number(value: object) -> float:
     """NaN and infinity pass: the loop takes them for zero, and says so. Raises TypeError, and
     OverflowError for a whole number that is too large."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{short(value)} is no number")
+        raise TypeError(f"{short(value)} is not a number")
     return float(value)
 
 

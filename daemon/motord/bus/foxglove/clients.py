@@ -275,7 +275,7 @@ def _wanted(parameter: Parameter) -> float:
     if value == NO_LIMIT:
         return float(NO_LIMIT)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise NotTaken(f'{parameter.name}: {short(value)} is no number (no limit: "{NO_LIMIT}")')
+        raise NotTaken(f'{parameter.name}: {short(value)} is not a number (no limit: "{NO_LIMIT}")')
     return float(value)
 
 

@@ -61,7 +61,7 @@ class MqttCommands:
         async with asyncio.TaskGroup() as tasks:
             async for message in client.messages:
                 if message.retain:
-                    _log.warning("%s: a retained message is not obeyed", message.topic)
+                    _log.warning("%s: a retained message is ignored", message.topic)
                     continue
                 with contextlib.suppress(NotTaken):  # logged by the command gate
                     self._take(client, message, tasks)

@@ -25,9 +25,7 @@ def ros2_msgs(folder: Path) -> None:
     try:
         package = write_package(folder)
     except FileExistsError as error:
-        raise Failure(
-            f"{error.filename} is there already, and is left as it is", Exit.USAGE
-        ) from None
+        raise Failure(f"{error.filename} is there already: remove it first", Exit.USAGE) from None
     except OSError as error:
         raise Failure(f"{error.filename}: {error.strerror}") from error
     click.echo(f"{package}: written. Next, in the workspace:")

@@ -33,7 +33,7 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 @click.option("--mcap", metavar="FILE", type=_FILE, help="An MCAP file, for Foxglove.")
 @click.option(
     "--file", "robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path),
-    help="Robot file to decode by. Default: the one that the daemon runs by.",
+    help="Robot file to decode by. Default: the one that the daemon uses.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for each exchange.")
 @talking

@@ -73,8 +73,8 @@ def fit_duty(name: str, points: Sequence[Point]) -> DutyFit:
     misfit = math.sqrt(float(residuals @ residuals) / (len(moving) - 2))
     if slope <= 0.0 or misfit > MISFIT_MAX * float(np.max(speed)):
         raise Failed(
-            f"{name}: its speeds are no line over the duty (off by {misfit:.2f} rad/s): a slope "
-            "of the floor, a slipping wheel, or a sagging battery: repeat on level ground"
+            f"{name}: its speed does not rise evenly with the duty (off by {misfit:.2f} rad/s): "
+            "the floor slopes, a wheel slips, or the battery sags: repeat on level ground"
         )
     dead_band = -offset / slope
     if not 0.0 <= dead_band < 0.9:

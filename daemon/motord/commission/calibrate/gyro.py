@@ -65,7 +65,7 @@ def measure_gyro(
         before_rad = after_rad
     scale = sum(scales) / len(scales)
     if not SCALE_MIN <= scale <= SCALE_MAX:
-        raise Failed(f"a scale of {scale:.3f} is no error of a gyro: was the mark the right one?")
+        raise Failed(f"a scale of {scale:.3f} is too far from 1 for a gyro: check the mark, repeat")
     return GyroFound(bias_rad_s=bias_rad_s, scale=scale, difference=abs(scales[0] - scales[1]))
 
 

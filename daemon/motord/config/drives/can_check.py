@@ -78,7 +78,7 @@ def _check_frame(table: CanTable, frame: Frame, problems: Problems) -> None:
     if frame.ask == "rtr" and frame.fd:
         problems.add(f"{key}.ask", "CAN FD has no remote frames (ISO 11898-1, 8.4.2.5)")
     if frame.silence_s and frame.silence_s < 2 * frame.period_s:
-        problems.add(f"{key}.silence_s", "is shorter than two periods: one lost frame would do")
+        problems.add(f"{key}.silence_s", "is shorter than two periods: allow one lost frame")
 
 
 def _check_asking(table: CanTable, frame: Frame, key: str, name: str, problems: Problems) -> None:

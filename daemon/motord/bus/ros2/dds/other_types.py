@@ -23,7 +23,7 @@ def type_conflict(topic: str, side: Side, ours: str, theirs: str) -> str | None:
         return None
     kind = theirs.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
     lost = (
-        "is not received: motord wants" if side == "writer" else "receives nothing: motord writes"
+        "is not received: motord expects" if side == "writer" else "receives nothing: motord writes"
     )
     cure = CURES.get((ours, kind))
     return f"{topic}: a {side} of {kind} {lost} {ours}" + (f" ({cure})" if cure else "")

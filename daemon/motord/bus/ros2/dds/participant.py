@@ -200,7 +200,7 @@ class Reader:
             _log.warning(_MISMATCH, self.name, "writer", _policy(status.last_policy_id), "request")
 
 
-_MISMATCH = "%s: a %s is not served: it does not go with the %s that we %s"
+_MISMATCH = "%s: a %s is not served: it does not match the %s that motord %ss"
 _POLICIES = {
     2: "durability (volatile or transient local)",
     11: "reliability (best effort or reliable)",
@@ -321,7 +321,7 @@ class Participant:
             await self._arrived.wait()
             self._arrived.clear()
             if self._broken is not None:
-                raise DdsError(f"DDS does not wait any more: {self._broken.msg}")
+                raise DdsError(f"waiting for DDS failed: {self._broken.msg}")
             for reader in self.readers:
                 reader.deliver()
             self._taken.set()

@@ -45,15 +45,15 @@ def library() -> Any | None:
     try:
         found = version("cyclonedds")
         if not found.startswith(TRIED):
-            raise ImportError(f"cyclonedds {found} is not known")
+            raise ImportError(f"cyclonedds {found} has not been tried")
         import _motord_bus
         from cyclonedds.internal import load_cyclonedds
 
         path = load_cyclonedds()._name  # noqa: SLF001  ctypes keeps it there
         if _motord_bus.lib.receiver_library(os.fsencode(path)) != 0:
-            raise ImportError(f"{path} has not what is needed")
+            raise ImportError(f"{path} lacks a function that is needed")
     except (ImportError, PackageNotFoundError) as error:
-        _log.warning("cmd_vel goes through Python, and waits while that is busy: %s", error)
+        _log.warning("cmd_vel goes through Python and waits while Python is busy: %s", error)
         return None
     return _motord_bus
 

@@ -165,7 +165,7 @@ class ActionServer:
         number = bytes(request.goal_id.uuid)
         refused = SimpleNamespace(accepted=False, stamp=_time(0))
         if number in self._goals:
-            return self._no(refused, "a goal of that number is known already")
+            return self._no(refused, "a goal with this id exists already")
         if self._turn.holder is not None:
             return self._no(refused, f"{self._turn.holder} is running")
         self._turn.holder, work = self._name, None

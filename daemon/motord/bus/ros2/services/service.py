@@ -89,7 +89,7 @@ class Service:
         try:
             self._waiting.put_nowait((raw[len(HEADER) : _BODY], request, info.publication_handle))
         except asyncio.QueueFull:
-            self._voice.say(f"service {self._name}: {WAITING_MAX} requests wait, one is lost")
+            self._voice.say(f"service {self._name}: {WAITING_MAX} requests wait, one is dropped")
 
     async def run(self) -> None:
         """Answer until cancelled."""

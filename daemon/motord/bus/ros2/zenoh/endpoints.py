@@ -232,4 +232,4 @@ def _refuse(query: zenoh.Query, text: str) -> None:
         with query:
             query.reply_err(text)
     except zenoh.ZError as error:
-        _log.debug("no refusal reached the client: %s", error)
+        _log.debug("the refusal did not reach the client: %s", error)

@@ -34,7 +34,7 @@ class Replays(TaskOwner):
     def start(self, key: Key, path: Path) -> None:
         """Raises NotTaken."""
         if self._tasks is None or key in self._running:
-            raise NotTaken("it is replayed already")
+            raise NotTaken("this recording is being replayed already")
         if len(self._running) >= WAITING_MAX:
             raise NotTaken("too many recordings wait for a replay: try again")
         self._note(key, {"state": "waits"})
