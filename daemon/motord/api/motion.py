@@ -21,22 +21,21 @@ Axis = Literal["linear", "angular"]
 LAG_S = 0.15
 """From a command to the odometry that shows it, at most: line cycle, drive and state page."""
 COMMANDS_WITHIN_S = 1.0
-"""A lease that is not in command by then will not be."""
+"""A lease that is not in command by then does not get it."""
 RESTS_WITHIN_S = 5.0
-"""Of the goal's end, beside the ramp itself."""
+"""Longest time from the goal to rest, in addition to the ramp itself."""
 LOOK_WITHIN_S = 0.9
 STUCK_S = 3.0
-"""Without a step nearer for so long, beside what its acceleration takes: something holds it."""
+"""A base that comes no nearer for this time, in addition to that of its acceleration, is stuck."""
 TURN_RATE_MAX_RAD_S = math.pi
-"""So that the base does not turn by half a turn between two looks: its direction would not be
-known."""
+"""Keeps the base from half a turn between two looks, which would hide its direction."""
 CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
-"""A base that rests beside the goal, because something was late, goes the rest of it, also back:
-so often, and by so many tolerances at most."""
+"""A base that has come to rest beside its goal is corrected, also backward: at most this often, and
+by at most this many tolerances."""
 STOPS_EVERY_S = 0.1
-"""So often the daemon is asked whether a stop came, beside what the state page says."""
+"""How often the daemon is asked for its count of stops, in addition to the state page."""
 UNSTOPPED_WITHIN_S = 1.0
-"""At rest: by then the daemon has reported that no stop came, or nothing is corrected."""
+"""Nothing is corrected unless the daemon reports within this time at rest that no stop came."""
 DISTANCE_MAX_U = 1000.0
 TOLERANCE_U = {"linear": 0.01, "angular": 0.02}
 """Where a goal names none."""
@@ -106,7 +105,7 @@ class Goal:
 
     @property
     def parts(self) -> dict[str, float]:
-        """What it asks of each axis, as parts of one."""
+        """The share of each axis, as parts of one."""
         if self.axis == "angular":
             return {"angular": 1.0}
         if not math.isfinite(self.direction_rad):
@@ -192,7 +191,7 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
 
 
 def problem(snapshot: Snapshot, now_ns: int, stale_s: float) -> str | None:
-    """Why the odometry says nothing that one may go by. None: it does."""
+    """Why the odometry cannot be used. None: it can."""
     if (now_ns - snapshot.stamp_ns) * _NS > stale_s:
         return "the loop has stopped publishing its state"
     if any(joint.stale for joint in snapshot.joints):
@@ -255,8 +254,8 @@ class Motion:
     def __init__(
         self, plan: Plan, start: Snapshot, now_ns: int, *, lease: int, stale_s: float, stops: int
     ) -> None:
-        """`lease`: the number under which its commands are sent. `stale_s`: what is older says
-        nothing. `stops`: how many the daemon had counted before."""
+        """`lease`: the number under which its commands are sent. `stale_s`: older states are not
+        used. `stops`: how many the daemon had counted before."""
         self.plan = plan
         self.travel = Travel(start, plan.direction_rad)
         self._lease, self._stale_s = lease, stale_s
@@ -285,8 +284,8 @@ class Motion:
         self._end(End.CANCELED, "canceled", now_ns)
 
     def counted(self, stops: int, asked_ns: int) -> None:
-        """How many stops the daemon has counted, when it was asked then. On the state page a stop
-        is only seen until the robot rests: one that was short is over before the next look."""
+        """How many stops the daemon had counted when it was asked at that time. On the state page a
+        stop is only seen until the robot rests: one that was short is over before the next look."""
         if stops != self._stops:
             self._stopped = True
         else:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the second process gives up at its start, so that nothing in it can cost the robot anything:
-capabilities, all but the lowest real-time priority, memory without end, and its turn before
-others."""
+"""What the second process gives up at its start, so that it cannot disturb the robot: capabilities,
+all but the lowest real-time priority, unlimited memory, and its share of the processor."""
 
 from __future__ import annotations
 
@@ -29,8 +28,8 @@ _CAPABILITY_VERSION_3 = 0x20080522
 
 
 def confine() -> None:
-    """Once, before anything else. What the kernel does not grant is done without: all of it is less
-    than we have."""
+    """Call it once, before anything else. A step that the kernel refuses is left out: each one only
+    gives something up."""
     limit_realtime()
     _drop_capabilities()
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
@@ -43,7 +42,7 @@ def confine() -> None:
 
 
 def limit_realtime() -> None:
-    """The lowest priority, and never for long: in no adapter can it cost the daemon its turn."""
+    """The lowest priority, and never for long: no adapter can keep the daemon waiting."""
     with contextlib.suppress(OSError, ValueError):  # not granted: it is 0
         resource.setrlimit(resource.RLIMIT_RTPRIO, (REALTIME_PRIORITY_MAX, REALTIME_PRIORITY_MAX))
     _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An adapter that fails is run again by itself: no other bus and no other input has to suffer."""
+"""An adapter that fails is started again by itself, without an effect on other buses and inputs."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _log = logging.getLogger(__name__)
 
 
 async def keep(where: str, adapter: Adapter, failures: MutableMapping[str, int]) -> None:
-    """Run it until it ends by itself or is cancelled. Each failure is counted under its name; of
-    a row of them only the first is logged. MemoryError goes on: the whole process has no room."""
+    """Run it until it ends by itself or is cancelled. Each failure is counted under its name; only
+    the first of a series is logged. MemoryError goes on: the whole process has no room."""
     again_s, failing = AGAIN_MIN_S, False
     while True:
         began_s = time.monotonic()

@@ -102,7 +102,7 @@ class HttpServer:
 
 
 class _Protocols(web.Server):
-    """Makes a protocol for each connection, and knows the strangers among them, oldest first."""
+    """Makes a protocol for each connection, and keeps the strangers among them, oldest first."""
 
     def __init__(self, answer: Answer) -> None:
         super().__init__(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters as every bus shows them: the limits of the base, or of each joint of a robot without
-one, which may be changed while the robot runs, and measures of the robot file, which may not. What
-may be is the daemon's decision, and so are the reasons."""
+one, which may be changed while the robot runs, and measures of the robot file, which may not. The
+daemon decides what may be changed, and gives the reasons."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def _own_output() -> int:
 
 
 async def _run(robot: Robot, path: Path, beats: int | None) -> None:
-    """`beats`: where to say that it lives, if the daemon wants to know."""
+    """`beats`: where to write heartbeats, if the daemon reads them."""
     runtime, end = Runtime(robot, path), asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):

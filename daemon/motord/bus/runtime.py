@@ -50,7 +50,7 @@ BROKEN = (
     *(ArithmeticError, AssertionError, AttributeError, NameError, RuntimeError),
     *(SyntaxError, TypeError),
 )
-"""How code of another package fails that was never tried."""
+"""Errors of another package's code that was never tried."""
 
 _log = logging.getLogger(__name__)
 
@@ -211,7 +211,7 @@ class Runtime:
     def _adapter(
         self, where: str, section: Any, table: Mapping[str, str], group: str
     ) -> Adapter | None:
-        """None, and a word in the log, for one that cannot be had: the others go on without it."""
+        """None, and a line in the log, where it cannot be created: the others go on without it."""
         kind = section.adapter if section.kind == "other" else section.kind
         try:
             adapter: Adapter = find(where, kind, table, group)(
@@ -229,7 +229,7 @@ class Runtime:
         return None
 
     async def _look(self) -> None:
-        """Feed what the state page says, as long as there is one."""
+        """Feed what the state page shows, as long as there is one."""
         reported = False
         while True:
             try:
@@ -281,7 +281,7 @@ class Runtime:
             try:
                 asked_ns, status = time.monotonic_ns(), await self.call("status")
             except ClientError:
-                pass  # it is ending, or not there yet: the state page says so too
+                pass  # it is ending, or not there yet: the state page shows that too
             else:
                 if self.view is not None:
                     self.view = View(snapshot=self.view.snapshot, status=status, status_ns=asked_ns)

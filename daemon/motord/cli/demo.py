@@ -218,6 +218,6 @@ def show_machine(result: Result | JointResult, report: dict[str, Any]) -> None:
 
 
 def row(name: str, text: str) -> None:
-    """Nothing where there is nothing to say."""
+    """Prints nothing for an empty text."""
     if text:
         click.echo(f"  {name:10} {text}")

@@ -40,7 +40,7 @@ from motord_hal.drives.profile import DriveProfile
 __all__ = ["core_config", "base_limits", "line_specs", "loop_settings"]
 
 _NOTIFY_HZ = 50.0
-"""How often asyncio looks at the state when no publisher wants more."""
+"""How often asyncio looks at the state when no publisher needs it more often."""
 _SLOW_PART = 0.02
 """Parts of a wheel's working speed: slower than this it does not turn,"""
 _APART_PART = 0.1

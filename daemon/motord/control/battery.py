@@ -38,7 +38,7 @@ class Measure:
 
     @property
     def counts(self) -> bool:
-        """It says something: a battery that drives a robot is not at zero volts."""
+        """Whether it is a measurement: a battery that drives a robot is not at zero volts."""
         return math.isfinite(self.voltage_v) and self.voltage_v > 0.0
 
 

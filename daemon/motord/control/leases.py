@@ -61,9 +61,9 @@ class Lease:
     angular_rad_s: float
     lateral_m_s: float
     held: bool
-    """Its command counts as zero until zero was asked for."""
+    """Its command counts as zero until it has requested zero."""
     wants_motion: bool
-    """Something else than zero was asked for, held or not."""
+    """A value other than zero was requested, held or not."""
     joint_values_u: Mapping[int, float]
     """By place, as LeaseState."""
 

@@ -56,7 +56,7 @@ _ESTOP_INPUTS = {
 _LATCHED = (State.FAULT, State.ESTOP)
 _GUARDED = (Event.ARM, Event.RESET)
 _BARE = "estop"
-"""The core's word, where its state was looked at before the request that has led to it."""
+"""The core's own reason, where its state was read before the request that led to it."""
 
 
 REASONS_MAX = 8
@@ -368,7 +368,7 @@ class Operation:
         self.loop.acknowledge_stops(requests)
 
     def look(self) -> None:
-        """The core's newest word on the robot: it may only lead to less."""
+        """Follow the core's newest state: it may only take freedom away."""
         self._follow_stop_requests()
         try:
             before, self.snapshot = self.snapshot, self.loop.read_state()
@@ -446,7 +446,7 @@ class Operation:
             self._name_also(event.text)
 
     def _name_also(self, why: str) -> None:
-        """A drive that switches itself off may say why only later."""
+        """A drive that switches itself off may report the reason only later."""
         if why not in self.why:
             self.why = (*self.why, why)
             _log.warning("fault: %s", why, extra=about(event="fault", faults=[why]))

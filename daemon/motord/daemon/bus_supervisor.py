@@ -23,13 +23,12 @@ from motord.config import Robot
 from motord_hal.base.clock import within
 
 SILENT_S = 10.0
-"""It says every second that it lives."""
+"""It sends a heartbeat every second."""
 START_WITHIN_S = 60.0
-"""Until it says so for the first time: a small computer that is busy starting takes long, and one
-that is ended before it is ready would start again for ever."""
+"""Until its first heartbeat: a small computer that is busy starting takes long, and a process that
+is ended before it is ready would start again for ever."""
 READ_BYTES, READ_EVERY_S = 4096, 0.02
-"""So much of what it says is read at a time, and no more often: a pipe that is flooded is its own
-trouble."""
+"""How much of its output is read at a time, and how often: a flooded pipe costs no more."""
 BEAT_BYTES_MAX = 65536
 BEATS_A_READ_MAX = 8
 END_WITHIN_S = 2.0
@@ -58,7 +57,7 @@ class BusSupervisor:
         self._voice = RateLimitedLog(_log)
 
     def report(self) -> dict[str, Any]:
-        """For `status`: process number (None: it is not there now), restarts, and its own word."""
+        """For `status`: process number (None: it does not run), restarts, and its own figures."""
         return {**self._figures, "pid": self._pid, "restarts": self._restarts}
 
     async def run(self) -> None:
@@ -96,7 +95,7 @@ class BusSupervisor:
 
     @contextlib.asynccontextmanager
     async def _started(self) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
-        """It, and what it says. A session of its own: the terminal's signals are for the daemon."""
+        """The process, and its output. Its own session keeps the terminal's signals from it."""
         async with _pipe() as (output, write_end):
             try:
                 with _in_memory(self._checked) as fd:

@@ -55,7 +55,7 @@ class RpcError(Exception):
 
 
 class Refused(RpcError):
-    """Understood, and no: the message says why and what to do."""
+    """Understood and refused: the message says why and what to do."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason, REFUSED)
@@ -389,7 +389,7 @@ class _Connection:
 
 # ----------------------------------------------------------------------------------------- framing
 _NOBODY = object()
-"""The id of a notification: a request that wants no answer."""
+"""The id of a notification: a request that expects no answer."""
 
 
 def _request(line: bytes) -> dict[str, Any]:
@@ -414,5 +414,5 @@ def _no_constant(name: str) -> float:
 
 
 def json_number(value: float) -> float | None:
-    """JSON has neither NaN nor infinity, which a drive may well say: None."""
+    """None for NaN and infinity: JSON has neither, and a drive may report them."""
     return value if math.isfinite(value) else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes into the real-time loop and what it says of itself, as plain values.
+"""What goes into the real-time loop and what it reports about itself, as plain values.
 
 The TypedDicts mirror the structs of csrc/api/api.h field by field, which holds their meanings and
 ranges.

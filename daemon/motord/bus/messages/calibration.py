@@ -21,7 +21,7 @@ from motord.base.extras import how_to_install
 
 Quantity = Literal["wheel_radius", "track"]
 REST_S = 2.0
-"""At rest for so long behind half of the distance: it has arrived."""
+"""A robot that rests for so long beyond half of the distance has arrived."""
 DISTANCE_MIN_M, DISTANCE_MAX_M = 0.2, 100.0
 ANGLE_MIN_RAD, ANGLE_MAX_RAD = math.pi, 100.0 * math.tau
 TURN_MAX_RAD = 0.1

@@ -30,7 +30,7 @@ _NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """What a snapshot does not say of its robot: names. REP-105 has those of the frames."""
+    """The names that a snapshot lacks. REP-105 defines those of the frames."""
 
     robot: str
     joints: tuple[str, ...]

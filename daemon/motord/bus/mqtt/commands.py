@@ -6,8 +6,8 @@
     call            {"token": ..., "method": "arm", "id": 7}, which is answered, also where the
                     token is missing or wrong
 
-on topics by mqtt_names.py. A retained message is an old one and is not obeyed; nor is what is
-older than the lease's lifetime.
+on topics by names.py. A retained message is old, so it is ignored; a message older than the
+lease's lifetime is refused.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord calibrate`: what a tape measure knows better than the robot file."""
+"""`motord calibrate`: measure the robot, and write the results into the robot file."""
 
 from __future__ import annotations
 

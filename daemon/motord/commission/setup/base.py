@@ -22,7 +22,7 @@ WHEELS_OF_OMNI = (3, 8)
 ENDS = ("front", "rear")
 PLACES = ("front-left", "front-right", "rear-left", "rear-right")
 SKID_SLIP_FACTOR = 1.5
-"""To begin with; wheels that scrub turn less than their track says."""
+"""A value to begin with: a base whose wheels scrub turns less than its track suggests."""
 
 
 def base_of(person: Person, given: Given) -> dict[str, Any]:

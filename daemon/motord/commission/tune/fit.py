@@ -48,7 +48,7 @@ up, and what the wheel got meanwhile is unknown."""
 AFTER_GAP_S = 0.05
 """What the wheel does so long behind a gap may still follow from it: a dead time."""
 PIECE_S = 0.1
-"""Of shorter pieces the speed at the beginning is most of what they say."""
+"""Shorter pieces show little more than the speed at their beginning."""
 BEGIN_POINTS = 5
 SEEN_PART_MIN = 0.3
 """Of the time of all runs: less determines no wheel."""

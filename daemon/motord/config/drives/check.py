@@ -232,7 +232,7 @@ def _reference(
 ) -> Register | None:
     """The register that a key names, if it is there and may be used like that."""
     if not name:
-        return None  # the reader has complained
+        return None  # the reader has reported it
     register = profile.registers.get(name)
     if register is None:
         problems.add(key, f'no register "{name}"{did_you_mean(name, profile.registers)}')
@@ -329,7 +329,7 @@ def _check_setpoint(
 def _check_together(
     profile: DriveProfile, key: str, setpoint: Register, channel: Channel, problems: Problems
 ) -> None:
-    """One request carries them all: the drive never obeys half of it."""
+    """One request carries them all: the drive never acts on half of it."""
     if not channel.setpoint_with:
         return
     words = set(range(setpoint.address, setpoint.address + setpoint.type.words))

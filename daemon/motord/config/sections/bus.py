@@ -85,7 +85,7 @@ class BusInput(Section):
 
 
 class StampedInput(BusInput):
-    """Commands that say when they were given."""
+    """Commands with a stamp."""
 
     stamped: bool = True
     """Every command has to say when it was given, so that one that waited somewhere is known by its
@@ -200,8 +200,8 @@ class FoxglovePublish(FoxgloveServer):
 
 
 class FoxgloveInput(TokenInput, FoxgloveServer):
-    """A WebSocket to which Foxglove connects: it publishes to every client, and obeys those with
-    the token to its service authorize, or in the command itself."""
+    """A WebSocket to which Foxglove connects: it publishes to every client, and takes commands from
+    those that give the token to its service authorize or in the command itself."""
 
     kind: Literal["foxglove"]
 
@@ -219,7 +219,7 @@ class RosbridgePublish(RosbridgeServer):
 
 
 class RosbridgeInput(TokenInput, RosbridgeServer):
-    """A rosbridge that sends, and obeys clients that connect with the token:
+    """A rosbridge that sends, and takes commands from clients that connect with the token:
     ws://HOST:PORT/?token=..."""
 
     kind: Literal["rosbridge"]
@@ -259,7 +259,7 @@ class WebPublish(WebServer, Publish):
 
 
 class WebInput(WebServer, BusInput):
-    """A dashboard that shows the robot, and obeys pages that have shown the token."""
+    """A dashboard that shows the robot, and takes commands from pages that have shown the token."""
 
     kind: Literal["web"]
     lease_s: float = number("a pad that sends nothing for so long is released", 0.1, 0.3, "s", 0.3)
@@ -296,7 +296,7 @@ RosName = Annotated[str, Field(pattern=_ROS_NAME, max_length=200)]
 
 
 class RosNode(Section):
-    """Which node we are. Sections that say the same are one node."""
+    """The ROS 2 node. Sections with the same settings are one node."""
 
     domain_id: int = number("ROS_DOMAIN_ID of the nodes that are to see motord", 0, 232, "1", 0)
     namespace: str = Field(default="/", pattern=r"^/([A-Za-z]\w*(/[A-Za-z]\w*)*)?$")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is logged of endpoints of others on our topics whose type is another one: no middleware
-brings them together, and most say nothing of it."""
+"""Log lines about endpoints of other nodes on our topics whose type differs from ours: no
+middleware connects the two, and most report nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CURES = {
     ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"): "stamped = false takes Twist",
     ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"): "stamped = true takes it",
 }
-"""By what we want and what there is: what to write into the robot file."""
+"""By our type and theirs: what to write into the robot file."""
 Side = Literal["writer", "reader"]
 
 

@@ -40,8 +40,8 @@ from motord.bus.ros2.quality import Quality
 
 Discovery = Literal["localhost", "subnet"]
 URI = "CYCLONEDDS_URI"
-"""Cyclone's own configuration, from the environment: with discovery subnet, its author knows
-better than we. It cannot open what the robot file keeps on this machine."""
+"""Cyclone's own configuration, from the environment: with discovery subnet it takes precedence over
+ours. It cannot open to the network what the robot file keeps on this machine."""
 BLOCKING_MAX = duration(milliseconds=5)
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _JOIN_WITHIN_S = 2.0

@@ -23,7 +23,7 @@ from motord.bus.ros2.quality import Quality
 
 TYPE = "geometry_msgs/msg/TwistStamped"
 NEWEST_FEW = Quality(depth=8, reliable=False)
-"""Each has a stamp, so that an old one is not obeyed; they are handed on in their order."""
+"""Each has a stamp, so that an old one is refused; they are handed on in their order."""
 TRIED = ("11.",)
 """Versions of the binding whose C library is known to have what is called, as it is called."""
 ALIVE_EVERY_S = 0.2
@@ -40,7 +40,7 @@ class Endpoint(Protocol):
 
 
 def library() -> Any | None:
-    """`_motord_bus` with the C library of the binding; None, and a word in the log: commands go
+    """`_motord_bus` with the C library of the binding; None, and a line in the log: commands go
     through Python then."""
     try:
         found = version("cyclonedds")

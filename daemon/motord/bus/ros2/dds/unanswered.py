@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clients of our services on a middleware that does not read our answers: each is named once, with
-what to do. Without a word the person at the command line would wait for nothing."""
+what to do. Otherwise a person at a command line would wait without knowing why."""
 
 from __future__ import annotations
 

@@ -185,7 +185,7 @@ class ActionServer:
         return SimpleNamespace(accepted=True, stamp=_time(goal.stamp_ns))
 
     def _no(self, answer: SimpleNamespace, why: str) -> SimpleNamespace:
-        """The answer has no word for it: the log has, rate-limited for each reason by itself."""
+        """The answer cannot hold the reason: it is logged, rate-limited for each reason."""
         reason = _NUMBER.sub("", why)
         voice = self._voices.setdefault(reason, RateLimitedLog(_log))
         voice.say(f"action {self._name}: refused: {why}")

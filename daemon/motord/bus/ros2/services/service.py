@@ -106,8 +106,8 @@ class Service:
             self.writer.write(bytearray(HEADER + who) + reply[len(HEADER) :])
 
     async def _matched(self, client: int) -> None:
-        """Until the client receives replies: one that was just made may not yet. A client that says
-        no name, or goes, is answered at once."""
+        """Until the client receives replies: one that was just made may not yet. A client that
+        gives no name, or goes, is answered at once."""
         name = self._client_id(client)
         if name is None:
             return

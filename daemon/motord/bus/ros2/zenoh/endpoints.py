@@ -98,7 +98,7 @@ class Publisher:
 
     def _put(self, raw: bytes) -> None:
         if self._entity is None:
-            return  # no session yet, which the node says
+            return  # no session yet, which the node logs
         self._sequence += 1
         attachment = Attachment(self._sequence, time.time_ns(), self._gid).encode()
         try:

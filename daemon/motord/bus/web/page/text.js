@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every string that a person reads, for translators. Words that the robot sends are its own.
+// Every string that a person reads, for translators. Texts that the robot sends come as they are.
 
 export const TEXT = {
   tabs: {
