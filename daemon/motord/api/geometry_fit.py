@@ -23,9 +23,10 @@ Free = Literal["scale", "ratio", "track"]
 """Of the three unknowns: both radii together, right over left, the track."""
 FREE: tuple[Free, ...] = ("scale", "ratio", "track")
 FACTOR_MIN, FACTOR_MAX = 0.8, 1.25
-"""A factor beyond is no error of measure, but another distance than the one that was named."""
+"""A factor outside is no error of measurement: the distance was another one than given."""
 MISFIT_MAX = 5.0
-"""Root mean square of the residuals, in their own deviations: more is slip, or a wrong number."""
+"""Root mean square of the residuals, in their own deviations: a greater one means slip, or a wrong
+number."""
 _ITERATIONS = 30
 _STEP = 1e-6
 _CONVERGED = 1e-10

@@ -27,7 +27,7 @@ class Refused(ClientError):
 
 
 class WrongParams(ClientError):
-    """What was asked for cannot be, whatever the robot is in: out of range, or no such name."""
+    """The request fails in every state of the robot: a value out of range, or an unknown name."""
 
 
 def request_line(number: int, method: str, params: Mapping[str, Any]) -> bytes:

@@ -159,7 +159,7 @@ class LeaseStatus:
     lateral_m_s: float | None = None
     rate_hz: float | None = None
     held: bool = False
-    """It asked for motion while nothing may move, and has to send zero first."""
+    """It requested motion while nothing could move, and has to send zero first."""
     why: str = ""
 
 

@@ -17,8 +17,8 @@ NICENESS = 5
 REALTIME_PRIORITY_MAX = 1
 """The lowest there is, for what motord.bus.ros2.dds.priority names; where it is granted at all."""
 REALTIME_RUNS_MAX_US, REALTIME_KILLED_AFTER_US = 50_000, 2_000_000
-"""So long a real-time thread may run without a pause: then SIGXCPU, which ends the process where
-nothing handles it, and at last SIGKILL. Source: RLIMIT_RTTIME in getrlimit(2)."""
+"""How long a real-time thread may run without a pause. Then it gets SIGXCPU, which ends the process
+where nothing handles it, and at last SIGKILL. Source: RLIMIT_RTTIME in getrlimit(2)."""
 _OOM_SCORE_ADJ = 500
 """proc_pid_oom_score_adj(5): before the daemon, when the machine is out of memory."""
 _PR_SET_NO_NEW_PRIVS, _PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 38, 47, 4

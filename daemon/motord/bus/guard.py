@@ -12,7 +12,7 @@ from motord.bus.adapters import Adapter
 
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
 WELL_AFTER_S = 60.0
-"""A bus that has worked for so long may come back at once, and is reported again."""
+"""A bus that has worked for this long may come back at once, and is reported again."""
 
 _log = logging.getLogger(__name__)
 

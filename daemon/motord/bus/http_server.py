@@ -133,7 +133,7 @@ class _Protocols(web.Server):
                 handler.transport.abort()
 
     def _drop(self, handler: RequestHandler) -> None:
-        """Unless it is no stranger any more."""
+        """Close the connection if it is still a stranger's."""
         if (transport := self._strangers.pop(handler, None)) is not None:
             transport.abort()
 

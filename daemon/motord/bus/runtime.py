@@ -264,9 +264,9 @@ class Runtime:
     def _feed(self, snapshot: Snapshot) -> None:
         before = self.view
         if before is not None and before.snapshot.owner != snapshot.owner:
-            self._asked.set()  # another source commands: which, only the daemon knows
+            self._asked.set()  # only the daemon knows which source commands now
         if before is not None and before.snapshot.faults != snapshot.faults:
-            self._asked.set()  # so it is with the reason
+            self._asked.set()  # only the daemon knows the reason
         self.view = View(
             snapshot=snapshot,
             status=before.status if before else None,

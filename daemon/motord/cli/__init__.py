@@ -67,8 +67,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands by name and imports one when it is asked for. Under --json
-    an error is one JSON object too, and Ctrl-C ends without a word."""
+    """A group that knows its commands by name and imports one when it is asked for. Under --json an
+    error is one JSON object too, and Ctrl-C ends without a message."""
 
     def main(
         self,

@@ -52,7 +52,7 @@ _DUTY_THAT_TURNS = 0.4
 _UNSURE_COUNTS_PER_S = 20.0
 """What four counts come to when speeds are smoothed over 0.2 s (csrc/core/plausible.c)."""
 _STALL_COUNTS = 8.0
-"""So many have to be missing before an encoder counts as standing."""
+"""How many counts have to be missing before an encoder counts as standing."""
 
 
 def loop_settings(

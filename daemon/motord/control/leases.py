@@ -267,7 +267,7 @@ class Leases:
         self, source: tuple[int, str, int, float], made: Callable[[bytes, int], bytes]
     ) -> Lease:
         """`source`: connection, owner, priority and lease_s."""
-        async with self._judging:  # one at a time: a refusal has no name on it
+        async with self._judging:  # one at a time: a refusal does not name its command
             grant = self.grant(*source)
             granted = self._granted[source[0], source[1], False]
             granted.sequence += 1

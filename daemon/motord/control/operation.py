@@ -2,12 +2,11 @@
 """The robot in operation: what the daemon knows, and everything it can do without waiting.
 
 One object brings machine, leases, core and lines together; its methods run in the daemon's one
-asyncio thread and return at once, but for `drive`, which waits for the loop's word. What has to
+asyncio thread and return at once, but for `drive`, which waits for the loop's answer. What has to
 wait for drives or wheels is in `procedures.py`.
 
-Rule of the house: the core's levels are made anew from the state each time (`put_control`), so that
-no level can be forgotten.
-"""
+The core's levels are derived from the state each time (`put_control`), so that no level can be
+forgotten."""
 
 from __future__ import annotations
 
@@ -56,7 +55,7 @@ _ESTOP_INPUTS = {
 _LATCHED = (State.FAULT, State.ESTOP)
 _GUARDED = (Event.ARM, Event.RESET)
 _BARE = "estop"
-"""The core's own reason, where its state was read before the request that led to it."""
+"""The core's fault without details: its state was read before the request that led to it."""
 
 
 REASONS_MAX = 8
@@ -342,8 +341,8 @@ class Operation:
         self.take(event)
 
     def _follow_stop_requests(self) -> None:
-        """The loop goes by them already; the state follows. Only when the levels that this object
-        puts hold a request is it acknowledged, so that nothing moves or arms in between."""
+        """The loop follows the requests already; now the state does. A request is acknowledged only
+        when the levels of this object hold it, so that nothing moves or arms in between."""
         now, before = self.loop.stop_requests(), self.stop_requests
         if now == before or self.state is State.OFF:
             return

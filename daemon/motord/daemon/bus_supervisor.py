@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps the second process alive, and at arm's length: started by exec, watched by a pipe, ended by
-force when it is silent. What it does or fails to do costs the daemon a line of the log."""
+force when it is silent. Whatever it does costs the daemon no more than a line of the log."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ BEATS_A_READ_MAX = 8
 END_WITHIN_S = 2.0
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
 WELL_AFTER_S = 60.0
-"""A process that has lived for so long may come back at once."""
+"""A process that has lived for this long may come back at once."""
 
 _log = logging.getLogger(__name__)
 
@@ -112,7 +112,7 @@ class BusSupervisor:
                 await _end(process)
 
     async def _listen(self, output: asyncio.StreamReader) -> None:
-        """Until its end. Raises TimeoutError when nothing that counts comes for so long."""
+        """Until its end. Raises TimeoutError when no valid figures come for this long."""
         loop, rest = asyncio.get_running_loop(), b""
         async with within(START_WITHIN_S) as silence:
             while chunk := await output.read(READ_BYTES):

@@ -85,7 +85,7 @@ class Method:
     commands: bool = True
     """Only for callers that may command."""
     urgent: bool = False
-    """Never too many calls to be taken."""
+    """It is accepted however many calls are running."""
 
 
 # --------------------------------------------------------------------------------- the socket file
@@ -301,7 +301,7 @@ class _Connection:
             self.close()
 
     def close(self) -> None:
-        """What the kernel would not take of the answers is not waited for."""
+        """Does not wait for answers that the kernel has not taken."""
         if self._writer is None:
             self._peer.close()
         elif self._writer.transport.get_write_buffer_size():
@@ -310,7 +310,7 @@ class _Connection:
             self._writer.close()
 
     async def _read(self, reader: asyncio.StreamReader) -> bytes | None:
-        """A line; None at the end, and after a line too long to be meant well."""
+        """A line; None at the end, and after a line that is too long."""
         try:
             return await reader.readuntil(b"\n")
         except asyncio.LimitOverrunError:

@@ -198,7 +198,8 @@ class Percentiles:
 
 @dataclass(frozen=True, slots=True)
 class Bucket:
-    """So many samples of low_ns or more and less than high_ns; at most 1/16 of its value wide."""
+    """The number of samples of low_ns or more and less than high_ns; at most 1/16 of its value
+    wide."""
 
     low_ns: int
     high_ns: int

@@ -154,7 +154,7 @@ class RclpyNode:
             return response
 
     def _type(self, kind: str) -> Any:
-        """The class of a type in Python. None, and a word in the log, for one of ours that was not
+        """The class of a type in Python. None, and a line in the log, for one of ours that was not
         built. Raises ImportError."""
         package, group, short = kind.split("/")
         try:
@@ -210,7 +210,7 @@ class Publisher:
 
 
 class Several(CallbackGroup):  # type: ignore[misc]  # rclpy is not there when types are checked
-    """So many callbacks at once, no more."""
+    """Limits the callbacks that run at once."""
 
     def __init__(self, most: int) -> None:
         super().__init__()

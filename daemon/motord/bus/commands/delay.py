@@ -10,7 +10,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 
 WINDOW_NS = 5_000_000_000
-"""A sender whose clock was set back is not believed for so long, twice at most."""
+"""A sender whose clock was set back is not believed for this long, twice at most."""
 SENDERS_MAX = 64
 
 

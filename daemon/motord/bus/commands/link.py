@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 
 REASON_CHARS_MAX = 300
-"""Of an emergency stop; the daemon refuses more."""
+"""Length of an emergency stop's reason; the daemon refuses longer ones."""
 
 
 def reason(text: str) -> dict[str, str]:
@@ -48,7 +48,7 @@ SOCKET_FULL = (
 
 
 ALL_SEEN = -1
-"""Whatever else was commanded meanwhile."""
+"""Send, whatever else was commanded meanwhile."""
 
 
 async def call(path: Path, method: str, **params: Any) -> Any:

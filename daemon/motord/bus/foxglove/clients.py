@@ -43,7 +43,7 @@ NO_LIMIT = "inf"
 """As the robot file writes it: JSON has no such number."""
 ANSWER_WITHIN_S = CALL_WITHIN_S + 2.0
 CHANGE_WITHIN_S = 2.0
-"""So long a change of parameters may hold up a thread that serves others, too."""
+"""How long a change of parameters may block a thread that serves other clients, too."""
 LOOK_EVERY_S = 1.0
 COMPLAIN_AGAIN_S = 0.5
 REQUEST_BYTES_MAX = 4096

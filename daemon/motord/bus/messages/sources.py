@@ -254,6 +254,6 @@ def _pairs(values: Mapping[str, str]) -> tuple[KeyValue, ...]:
 
 
 def state_name(snapshot: Snapshot) -> str:
-    """The state machine's word; a number that this version does not know is shown as it is."""
+    """The name of the state; a number that this version does not know is shown as it is."""
     number = snapshot.machine_state
     return STATES[number] if 0 <= number < len(STATES) else f"state {number}"

@@ -136,7 +136,7 @@ def _show(finding: Finding) -> None:
 
 
 def _fix(found: Sequence[Finding], *, ask: bool, show: bool) -> list[str]:
-    """The checks whose mends have all been carried out."""
+    """The checks whose fixes have all been applied."""
     done = []
     for finding in found:
         if not finding.fixes:

@@ -27,7 +27,7 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 
 @click.command
 @click.argument("line", required=False, shell_complete=line_names)
-@click.option("--count", type=click.IntRange(1), help="End after so many exchanges.")
+@click.option("--count", type=click.IntRange(1), help="End after this many exchanges.")
 @click.option("--pcap", metavar="FILE", type=_FILE, help="Modbus: a file for Wireshark.")
 @click.option("--candump", metavar="FILE", type=_FILE, help="CAN: a file as candump -L writes it.")
 @click.option("--mcap", metavar="FILE", type=_FILE, help="An MCAP file, for Foxglove.")

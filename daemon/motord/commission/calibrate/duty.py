@@ -32,7 +32,7 @@ HOLD_S, STEADY_S = 2.5, 0.8
 STANDS_RAD_S = 0.1
 POINTS_MIN = 4
 MISFIT_MAX = 0.05
-"""Root mean square of the residuals, of the greatest speed: more is no line."""
+"""Root mean square of the residuals, as a part of the greatest speed: more is not a line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +187,7 @@ def _slope(places: Mapping[float, float]) -> float:
 
 
 def _fed_s(snapshot: Snapshot, index: int) -> float:
-    """When what a wheel's position is of was received."""
+    """When the feedback that holds a wheel's position was received."""
     return snapshot.stamp_ns * 1e-9 - snapshot.joints[index].feedback_age_s
 
 

@@ -70,7 +70,7 @@ def measure_gyro(
 
 
 def gyro_changes(found: GyroFound) -> dict[KeyPath, Any]:
-    """The offset is measured anew at each rest, and the robot file has no scale; it has the
+    """The offset is measured again at each rest, and the robot file has no scale; it has the
     variance that the scale's error causes: (error · 2π)² for a turn of 2π."""
     variance = (found.scale - 1.0) ** 2 * math.tau
     key = ("imu", "turn_variance_rad2_per_rad")

@@ -214,7 +214,7 @@ def _wheels(robot: Robot, turns: Sequence[Turned], found: Findings) -> None:
 
 
 def _counted(turned: Turned) -> bool:
-    """Its own encoder, or nothing that could have."""
+    """Whether its own encoder counted, or measures no position."""
     own_rad = turned.counted_rad[turned.joint]
     return not abs(own_rad) < TURNED_RAD
 

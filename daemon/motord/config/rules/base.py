@@ -100,7 +100,7 @@ def _corners(robot: Robot) -> Iterator[Finding]:
 
 
 def _can_move(robot: Robot) -> Iterator[Finding]:
-    """The wheels determine the motion: else some of it is no wheel's, and nothing brakes it."""
+    """The wheels determine the motion: no wheel could brake a motion in which none turns."""
     base, joints = robot.base, robot.joint
     if (
         isinstance(base, SteeredBase)
@@ -135,7 +135,7 @@ def _slip_factor(robot: Robot) -> Iterator[Finding]:
 
 
 def _geometry(robot: Robot) -> Iterator[Finding]:
-    """A base of another size than it is drives at another speed than its set-point."""
+    """A base with a wrong size in its file drives at another speed than its set-point."""
     base = robot.base
     if isinstance(base, JointsBase):
         return

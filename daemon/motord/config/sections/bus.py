@@ -78,7 +78,7 @@ class BusInput(Section):
     """Which inputs may command by the second process."""
 
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
-    lease_s: float = number("a command lives so long, and no longer", 0.02, 5, "s", 0.3)
+    lease_s: float = number("lifetime of a command", 0.02, 5, "s", 0.3)
     rate_max_hz: float | None = number(
         "commands that come more often are refused, but for zero", 1, 10000, "Hz", None
     )
@@ -163,7 +163,7 @@ class McapPublish(BusPublish):
     mode: Literal["all", "fault", "manual"] = "all"
     """Record all; or keep the newest in memory and write it when a fault is latched; or record only
     from start to stop on the dashboard."""
-    file_s: float = number("a new file after so long (not in mode fault)", 1, 86400, "s", 600.0)
+    file_s: float = number("a new file after this time (not in mode fault)", 1, 86400, "s", 600.0)
     before_s: float = number("what a fault's file holds from before it", 1, 600, "s", 60.0)
     after_s: float = number("what a fault's file holds from after it", 0, 60, "s", 5.0)
     total_max_mb: int = number(
@@ -262,7 +262,9 @@ class WebInput(WebServer, BusInput):
     """A dashboard that shows the robot, and takes commands from pages that have shown the token."""
 
     kind: Literal["web"]
-    lease_s: float = number("a pad that sends nothing for so long is released", 0.1, 0.3, "s", 0.3)
+    lease_s: float = number(
+        "a pad that sends nothing for this long is released", 0.1, 0.3, "s", 0.3
+    )
     trust_loopback: bool = False
     """Pages of this machine may command without a token: every user of it may. Set it to confirm
     that this is meant."""
@@ -390,7 +392,7 @@ class Ros2Input(StampedInput, Ros2Node):
 
 
 class ZenohInput(StampedInput, ZenohNode):
-    """As kind ros2, from ROS 2 nodes on Zenoh; also their services reach us."""
+    """As kind ros2, from ROS 2 nodes on Zenoh, whose service calls reach motord, too."""
 
     kind: Literal["ros2-zenoh"]
     trust_router: bool = False

@@ -277,9 +277,9 @@ class Participant:
         take: Callable[[bytes, Any], None] | None,
         service: str | None = None,
     ) -> Reader:
-        """`take` is called in the event loop for each sample, with DDS's word on it, and must not
-        raise; None: its samples are taken elsewhere. `service`: whose requests it reads. Raises
-        DdsError."""
+        """`take` is called in the event loop for each sample, with DDS's information about it, and
+        must not raise; None: its samples are taken elsewhere. `service`: whose requests it reads.
+        Raises DdsError."""
         try:
             entity = DataReader(
                 self.entity, self._topic(topic, kind, service), _qos(quality, user_data)

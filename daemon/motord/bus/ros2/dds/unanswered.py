@@ -51,7 +51,7 @@ class Unanswered:
             self._more += 1
 
     def say(self, now_s: float | None = None) -> None:
-        """Name those that are known, or will not be known."""
+        """Log the clients whose name is known, or has not become known in time."""
         now_s = _now_s(now_s)
         if now_s < self._due_s:
             return

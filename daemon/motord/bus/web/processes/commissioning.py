@@ -228,7 +228,7 @@ class Commissioning:
         self.record["shown"] = [*self.record["shown"], message][-SHOWN_MAX:]
 
     def _send(self, message: Mapping[str, Any]) -> None:
-        """Never waits; one that does not read is silent for the procedure, which ends."""
+        """Never waits: a procedure that does not read takes its page for silent, and ends."""
         if self._process is None or self._process.stdin is None:
             return
         transport = self._process.stdin.transport
