@@ -91,7 +91,7 @@ class Fit:
 
 
 def end_pose(left_m: Array, right_m: Array, track_m: float, factors: Factors) -> Pose:
-    """Where the base ends that rolls so."""
+    """Where a base that rolls so ends."""
     stack = _Stack([Measure("", left_m, right_m, Pose(), Pose())], track_m)
     return Pose(*stack.ends(factors)[0].tolist())
 

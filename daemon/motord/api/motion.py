@@ -92,7 +92,7 @@ def _names(axis: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
-    """What is asked for; 0 where the robot's own value is meant."""
+    """What is requested; 0 stands for the robot's own value."""
 
     axis: Axis
     distance_u: float

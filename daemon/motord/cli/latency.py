@@ -252,7 +252,7 @@ def verdict_lines(report: LatencyReport, verdict: Verdict) -> list[str]:
     for one in report.trials:
         rates = f"{one.late_per_s:8.1f} late ticks /s{one.overruns_per_s:8.1f} overruns /s"
         lines.append(f"  {one.name + ':':<40}{rates}")
-    return [*lines, f"culprit: {verdict.culprit.words}", f"  mend: {verdict.culprit.cure}"]
+    return [*lines, f"culprit: {verdict.culprit.words}", f"  fix: {verdict.culprit.cure}"]
 
 
 def heading(report: LatencyReport) -> tuple[str, str]:

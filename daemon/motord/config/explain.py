@@ -46,7 +46,7 @@ _BAD_TEXT = {
     HOST: "is neither the name of a machine nor an address",
     ROUTER: "is neither tcp/HOST:PORT nor tls/HOST:PORT",
     PART_NAME: "must be lower-case letters, digits and _, and begin with a letter",
-    CHANNEL: "is no channel: channels are numbered 1 to 8",
+    CHANNEL: "is not a channel: channels are numbered 1 to 8",
 }
 """By patterns; all others are those of names."""
 _NOTHING = object()

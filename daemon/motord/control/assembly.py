@@ -243,7 +243,7 @@ def _plausible(robot: Robot, name: str, profile: DriveProfile) -> PlausibleConfi
 
 
 def _derating(derating: Derating) -> DeratingConfig:
-    """What is not given is not in use."""
+    """A limit that is not given is not in use."""
     found: list[DeratingRange] = []
     for begin, end in PAIRS.values():
         full, none = getattr(derating, begin), getattr(derating, end)

@@ -151,7 +151,7 @@ class Leases:
         return socket_number
 
     def _make_room(self, now: int) -> None:
-        """What has lapsed for so long that nothing of it counts any more makes room."""
+        """Removes leases that lapsed so long ago that nothing of them counts any more."""
         self._gone = {owner: until for owner, until in self._gone.items() if now < until}
         states = self._loop.commands().leases
         for key, granted in list(self._granted.items()):

@@ -49,7 +49,7 @@ _WORRYING = {
 }
 _MAY_MOVE = (State.ARMED, State.MOVING)
 _ESTOP_INPUTS = {
-    "active": "the emergency stop's contact ({}) is active: release the button, or mend the wire",
+    "active": "the emergency stop's contact ({}) is active: release the button, or fix the wire",
     "lost": "the emergency stop's input ({}) cannot be read any more: start the daemon again",
 }
 _LATCHED = (State.FAULT, State.ESTOP)
@@ -451,7 +451,7 @@ class Operation:
             _log.warning("fault: %s", why, extra=about(event="fault", faults=[why]))
 
     def beat(self) -> None:
-        """What has to be looked at now and then, though nothing reports it; and a heartbeat."""
+        """Checks what must be checked now and then, because nothing reports it; and a heartbeat."""
         self.look()
         if self._unready():
             self.take(Event.LOST)

@@ -380,7 +380,7 @@ class _Connection:
             reply = json.dumps(answer, allow_nan=False)
         except ValueError as error:  # our own mistake, and no reason to let the robot go
             _log.exception("an answer to process %d", self._caller.pid)
-            problem = {"code": INTERNAL_ERROR, "message": f"the answer is no JSON: {error}"}
+            problem = {"code": INTERNAL_ERROR, "message": f"the answer is not JSON: {error}"}
             reply = json.dumps({"jsonrpc": "2.0", "id": number, "error": problem})
         writer.write(reply.encode() + b"\n")
         if writer.transport.get_write_buffer_size() > UNREAD_BYTES_MAX:

@@ -147,7 +147,7 @@ def _messages(path: Path) -> Iterator[tuple[list[bytes], list[bytes]]]:
                 yield _parsed(path, message.data)
     except McapError as error:
         raise ReplayError(
-            f"{path} is no whole MCAP file ({error}): mcap recover mends it"
+            f"{path} is not a complete MCAP file ({error}): mcap recover repairs it"
         ) from error
 
 

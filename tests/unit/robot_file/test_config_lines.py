@@ -183,7 +183,7 @@ def test_a_unit_that_speaks_to_all_servos_is_no_servo_s(servos):
     with pytest.raises(ConfigError) as caught:
         servos("unit = 9", "unit = 254")
     (row,) = [str(row.text) for row in caught.value.problems if row.key == "joint.right.unit"]
-    assert "254 is no address of drive" in row
+    assert "254 is not an address of drive" in row
     assert "(0 to 252)" in row
 
 

@@ -99,8 +99,8 @@ class CommandGate:
                 raise self._no(f"{short(other)} is not taken; there are: {', '.join(COMMANDS)}")
 
     def drive(self, message: object, waited_s: float = 0.0, sender: str = "") -> None:
-        """Pass a Twist or a TwistStamped on. `waited_s`: in transit, as far as that is known; it is
-        the age of one without a stamp. `sender`: as `act`. Raises NotTaken."""
+        """Pass a Twist or a TwistStamped on. `waited_s`: its time in transit, as far as that is
+        known; it is the age of one without a stamp. `sender`: as `act`. Raises NotTaken."""
         (linear_m_s, angular_rad_s, lateral_m_s), age_s = self._twist(message)
         if self._free and (linear_m_s, angular_rad_s, lateral_m_s) != (0.0, 0.0, 0.0):
             raise self._no("this robot has no base: command its joints by joint_commands")

@@ -217,7 +217,7 @@ class Teleop:
                     await self._robot.drive(0.0, 0.0, owner=OWNER)
                     await self._robot.release(OWNER)
                     refused = ""
-            except Refused as error:  # r or m may mend it: the session goes on
+            except Refused as error:  # r or m may fix it: the session goes on
                 if str(error) != refused:
                     refused = str(error)
                     self._terminal.message(refused)

@@ -43,7 +43,7 @@ class Replays(TaskOwner):
         task.add_done_callback(lambda task: self._ended(key, task))
 
     def cancel(self, key: Key) -> None:
-        """Nothing where it is not replayed."""
+        """Cancel that replay; nothing where there is none."""
         if (task := self._running.get(key)) is not None:
             task.cancel()
 
