@@ -94,7 +94,7 @@ class Client:
             raise ClientError(f"{where}: no connection within {self.timeout_s:g} s") from error
 
     async def _connect(self, path: Path) -> None:
-        """Again while the daemon's queue of connections is full. The deadline is the caller's."""
+        """Retries while the daemon's queue of connections is full. The caller sets the deadline."""
         try:
             with contextlib.ExitStack() as unless_kept:
                 connection = socket.socket(
@@ -324,7 +324,7 @@ class Client:
 
 
 async def send_stop(sender: socket.socket, path: Path, method: str) -> bool:
-    """Again while the receive queue is full. False: the daemon does not receive it."""
+    """Retries while the receive queue is full. False: the daemon does not receive it."""
     with contextlib.suppress(OSError, TimeoutError):
         async with within(STOP_WITHIN_S):
             while not stop_request.try_send(  # noqa: ASYNC110  nothing says when it has room

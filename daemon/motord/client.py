@@ -126,7 +126,7 @@ def trusted_owners(folder: Path) -> set[int]:
 
 
 def _lives(path: Path, barred: bool) -> bool:
-    """A socket that a program listens at, and that is no stranger's trap."""
+    """Whether a program listens at the socket, and its owner is trusted."""
     info = path.stat()
     if not stat.S_ISSOCK(info.st_mode) or info.st_uid not in trusted_owners(path.parent):
         return False
@@ -163,7 +163,7 @@ class Client:
             raise ClientError(why_unreachable(self.path, error)) from error
 
     def _connect(self, end_s: float) -> None:
-        """Again while the daemon's queue of connections is full, which others may have filled."""
+        """Retries while the daemon's queue of connections, which others may fill, is full."""
         self._socket.settimeout(self.timeout_s)
         while True:
             try:

@@ -82,7 +82,7 @@ def test_a_reversed_encoder_is_found_and_put_right_in_the_file(browser, tmp_path
         text = answers(page, {GROUND: "Yes", TURNED: "Forward", "Write .*cart.toml": "Yes"})
         assert "left: its encoder counts against its motor: reversed is changed" in text
         assert "is written" in page.locator(".ended").inner_text()
-        assert "Start the daemon again" in page.locator(".ended").inner_text()
+        assert "Restart the daemon" in page.locator(".ended").inner_text()
         assert page.locator(".picture rect").count() > 3
         rests_disarmed(robot.stage)  # pins of a bridge have no power switch
     joints = load_robot(file).joint
@@ -362,7 +362,7 @@ def test_a_question_outlives_its_page_and_another_page_answers_it(robot):
         begin(page)
         wait_until(lambda: GROUND in asked_text(page), "the question")
     with robot.page(at="commission") as page:
-        page.get_by_role("button", name="Conduct it on this page").click()
+        page.get_by_role("button", name="Continue on this page").click()
         wait_until(lambda: asked_text(page), "it may answer")
         give(page, "No")
         wait_until(lambda: page.locator(".ended").count(), "the end")

@@ -231,7 +231,7 @@ def test_saving_shows_the_difference_first_and_the_robot_runs_on(robot, page, fi
     assert axe_violations(page) == []
     button(page, "Write").click()
     wait_until(lambda: "is written" in page.locator(".difference").inner_text(), "it is written")
-    assert "Start the daemon again" in page.locator(".difference").inner_text()
+    assert "Restart the daemon" in page.locator(".difference").inner_text()
     assert load_robot(file).limits.linear_m_s == 0.85
     [backup] = backups(file)
     assert backup.read_bytes() == before

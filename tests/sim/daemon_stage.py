@@ -173,7 +173,7 @@ TRIES = 3
 def was_held_up(error):
     """Whether a busy machine ended a motion, by holding up the program or its feedback for half a
     second. An overshoot is not among these reasons: it is a failure."""
-    return any(why in str(error) for why in ("stale", "was not looked at"))
+    return any(why in str(error) for why in ("stale", "was not read"))
 
 
 def in_time(move):

@@ -24,7 +24,7 @@ _POSITIONS_LAYOUT = struct.Struct(f"<IHH16sQqII{2 * JOINTS_MAX}dII")
 
 
 class Refusal(enum.IntEnum):
-    """Why a datagram was not obeyed: places in `CommandReport.refused`."""
+    """Why a datagram was refused: indices of `CommandReport.refused`."""
 
     FORM = 0
     TOKEN = 1
@@ -47,13 +47,13 @@ class LeaseGrant:
     priority: int
     lifetime_ns: int
     interval_least_ns: int = 0
-    """Commands that come more often are refused, but for zero; 0: as often as they like."""
+    """Commands that come more often are refused, but for zero; 0: no limit."""
     barred_until_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeaseState:
-    """What the loop knows of a lease. The speeds as asked for."""
+    """What the loop knows of a lease. The speeds are those that were requested."""
 
     number: int
     held: bool
@@ -70,7 +70,7 @@ class LeaseState:
     angular_rad_s: float
     lateral_m_s: float = 0.0
     wants_motion: bool = False
-    """Something else than zero was asked for."""
+    """A value other than zero was requested."""
     joint_values_u: Mapping[int, float] = field(default_factory=dict)
     """Of a robot without a base, by place: rad of a joint that takes positions, rad/s of another
     one."""
@@ -82,7 +82,7 @@ class LeaseState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandReport:
-    """The arbiter's word after its newest look at what came."""
+    """The arbiter's report after it last looked at what came."""
 
     commander: int
     """Number of the lease in command; 0: none."""

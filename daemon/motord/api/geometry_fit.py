@@ -23,9 +23,10 @@ Free = Literal["scale", "ratio", "track"]
 """Of the three unknowns: both radii together, right over left, the track."""
 FREE: tuple[Free, ...] = ("scale", "ratio", "track")
 FACTOR_MIN, FACTOR_MAX = 0.8, 1.25
-"""A factor beyond is no error of measure, but another distance than the one that was named."""
+"""A factor outside is no error of measurement: the distance was another one than given."""
 MISFIT_MAX = 5.0
-"""Root mean square of the residuals, in their own deviations: more is slip, or a wrong number."""
+"""Root mean square of the residuals, in their own deviations: a greater one means slip, or a wrong
+number."""
 _ITERATIONS = 30
 _STEP = 1e-6
 _CONVERGED = 1e-10
@@ -90,7 +91,7 @@ class Fit:
 
 
 def end_pose(left_m: Array, right_m: Array, track_m: float, factors: Factors) -> Pose:
-    """Where the base ends that rolls so."""
+    """Where a base that rolls so ends."""
     stack = _Stack([Measure("", left_m, right_m, Pose(), Pose())], track_m)
     return Pose(*stack.ends(factors)[0].tolist())
 
@@ -156,8 +157,8 @@ def fit(
     ):
         raise BadData(
             f"the factors would be {factors.left:.3g} (left), {factors.right:.3g} (right) and "
-            f"{factors.track:.3g} (track), too far from 1 for an error of measure: was each "
-            "distance the one that was named, and are the radii of the file about right?"
+            f"{factors.track:.3g} (track), too far from 1 for an error of measurement: "
+            "check each distance that you gave, and the radii in the robot file"
         )
     off = stack.off(factors)
     left_over = int(stack.known.sum()) - len(free)

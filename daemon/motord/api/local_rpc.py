@@ -27,7 +27,7 @@ class Refused(ClientError):
 
 
 class WrongParams(ClientError):
-    """What was asked for cannot be, whatever the robot is in: out of range, or no such name."""
+    """The request fails in every state of the robot: a value out of range, or an unknown name."""
 
 
 def request_line(number: int, method: str, params: Mapping[str, Any]) -> bytes:
@@ -38,7 +38,7 @@ def request_line(number: int, method: str, params: Mapping[str, Any]) -> bytes:
     except ValueError as error:
         wrong = [name for name, value in params.items() if value in _NOT_SENT or value != value]
         text = f"{method}: {', '.join(wrong) or 'a value'} is NaN or infinite"
-        raise ClientError(f"{text}, which is no command") from error
+        raise ClientError(f"{text}: give finite numbers") from error
 
 
 def answer_to(number: int, line: bytes, where: object) -> dict[str, Any] | None:

@@ -21,22 +21,21 @@ Axis = Literal["linear", "angular"]
 LAG_S = 0.15
 """From a command to the odometry that shows it, at most: line cycle, drive and state page."""
 COMMANDS_WITHIN_S = 1.0
-"""A lease that is not in command by then will not be."""
+"""A lease that is not in command by then does not get it."""
 RESTS_WITHIN_S = 5.0
-"""Of the goal's end, beside the ramp itself."""
+"""Longest time from the goal to rest, in addition to the ramp itself."""
 LOOK_WITHIN_S = 0.9
 STUCK_S = 3.0
-"""Without a step nearer for so long, beside what its acceleration takes: something holds it."""
+"""A base that comes no nearer for this time, in addition to that of its acceleration, is stuck."""
 TURN_RATE_MAX_RAD_S = math.pi
-"""So that the base does not turn by half a turn between two looks: its direction would not be
-known."""
+"""Keeps the base from half a turn between two looks, which would hide its direction."""
 CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
-"""A base that rests beside the goal, because something was late, goes the rest of it, also back:
-so often, and by so many tolerances at most."""
+"""A base that has come to rest beside its goal is corrected, also backward: at most this often, and
+by at most this many tolerances."""
 STOPS_EVERY_S = 0.1
-"""So often the daemon is asked whether a stop came, beside what the state page says."""
+"""How often the daemon is asked for its count of stops, in addition to the state page."""
 UNSTOPPED_WITHIN_S = 1.0
-"""At rest: by then the daemon has reported that no stop came, or nothing is corrected."""
+"""Nothing is corrected unless the daemon reports within this time at rest that no stop came."""
 DISTANCE_MAX_U = 1000.0
 TOLERANCE_U = {"linear": 0.01, "angular": 0.02}
 """Where a goal names none."""
@@ -93,7 +92,7 @@ def _names(axis: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
-    """What is asked for; 0 where the robot's own value is meant."""
+    """What is requested; 0 stands for the robot's own value."""
 
     axis: Axis
     distance_u: float
@@ -106,7 +105,7 @@ class Goal:
 
     @property
     def parts(self) -> dict[str, float]:
-        """What it asks of each axis, as parts of one."""
+        """The share of each axis, as parts of one."""
         if self.axis == "angular":
             return {"angular": 1.0}
         if not math.isfinite(self.direction_rad):
@@ -165,11 +164,11 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
         raise ValueError("distance, speed, tolerance and time-out have to be finite numbers")
     if not 0.0 < abs(goal.distance_u) <= DISTANCE_MAX_U:
         raise ValueError(
-            f"{goal.distance_u:g} is no distance to go (not 0, at most {DISTANCE_MAX_U:g})"
+            f"a distance of {goal.distance_u:g} is out of range (not 0, at most {DISTANCE_MAX_U:g})"
         )
     if min(goal.velocity_u_s, goal.tolerance_u, goal.timeout_s) < 0.0:
         raise ValueError(
-            "speed, tolerance and time-out are not negative; the distance has the sign"
+            "speed, tolerance and time-out must not be negative; the distance has the sign"
         )
     if goal.timeout_s > TIMEOUT_MAX_S:
         raise ValueError(
@@ -192,15 +191,15 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
 
 
 def problem(snapshot: Snapshot, now_ns: int, stale_s: float) -> str | None:
-    """Why the odometry says nothing that one may go by. None: it does."""
+    """Why the odometry cannot be used. None: it can."""
     if (now_ns - snapshot.stamp_ns) * _NS > stale_s:
-        return "the loop sends nothing any more"
+        return "the loop has stopped publishing its state"
     if any(joint.stale for joint in snapshot.joints):
         return "the odometry is stale: a wheel sends no feedback"
     if (now_ns - snapshot.odometry_stamp_ns) * _NS > stale_s:
         return "the odometry is stale"
     pose = (snapshot.x_m, snapshot.y_m, snapshot.heading_rad, snapshot.odometry_stamp_ns)
-    return None if all(map(math.isfinite, pose)) else "the odometry is no number"
+    return None if all(map(math.isfinite, pose)) else "the odometry is not a number"
 
 
 def obstacle(snapshot: Snapshot) -> str | None:
@@ -228,7 +227,7 @@ class Travel:
         if snapshot.odometry_epoch != self._last.odometry_epoch:
             return "the odometry was reset"
         if (snapshot.stamp_ns - self._last.stamp_ns) * _NS > LOOK_WITHIN_S:
-            return f"it was not looked at for {LOOK_WITHIN_S:g} s"
+            return f"the state was not read for {LOOK_WITHIN_S:g} s"
         turn_rad = math.remainder(snapshot.heading_rad - self._last.heading_rad, math.tau)
         middle_rad = self._last.heading_rad + turn_rad / 2.0 + self._direction_rad
         dx_m, dy_m = snapshot.x_m - self._last.x_m, snapshot.y_m - self._last.y_m
@@ -255,8 +254,8 @@ class Motion:
     def __init__(
         self, plan: Plan, start: Snapshot, now_ns: int, *, lease: int, stale_s: float, stops: int
     ) -> None:
-        """`lease`: the number under which its commands are sent. `stale_s`: what is older says
-        nothing. `stops`: how many the daemon had counted before."""
+        """`lease`: the number under which its commands are sent. `stale_s`: older states are not
+        used. `stops`: how many the daemon had counted before."""
         self.plan = plan
         self.travel = Travel(start, plan.direction_rad)
         self._lease, self._stale_s = lease, stale_s
@@ -285,8 +284,8 @@ class Motion:
         self._end(End.CANCELED, "canceled", now_ns)
 
     def counted(self, stops: int, asked_ns: int) -> None:
-        """How many stops the daemon has counted, when it was asked then. On the state page a stop
-        is only seen until the robot rests: one that was short is over before the next look."""
+        """How many stops the daemon had counted when it was asked at that time. On the state page a
+        stop is only seen until the robot rests: one that was short is over before the next look."""
         if stops != self._stops:
             self._stopped = True
         else:
@@ -318,9 +317,9 @@ class Motion:
         if snapshot.owner == self._lease:
             self._commanding = True
         elif self._commanding:
-            return "another source commands" if snapshot.owner else "its commands did not get there"
+            return "another source commands" if snapshot.owner else "its commands no longer arrive"
         elif (now_ns - self._start_ns) * _NS > COMMANDS_WITHIN_S:
-            return "another source commands" if snapshot.owner else "nothing takes its commands"
+            return "another source commands" if snapshot.owner else "its commands do not arrive"
         return None
 
     def _end(self, how: End, why: str, now_ns: int) -> None:

@@ -45,7 +45,7 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """Come back then."""
+    """Resume then."""
 
     until_s: float
     """CLOCK_MONOTONIC."""

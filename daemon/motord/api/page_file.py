@@ -5,10 +5,10 @@ Every user can create files in /dev/shm. So the daemon keeps its files in a fold
 /dev/shm/motord-UID, in which no other user can create, truncate or replace them (SIGBUS). If
 another user has created that name first, the daemon makes a folder with a random ending.
 
-Locks say that its daemon lives. The kernel takes them off however a process dies, so a stale
-file differs from a live one without trusting process numbers, which are given again. Who may only
-read the file can lock it as well, but not with an open file description lock for writing
-(fcntl(2)): that one counts.
+A lock shows that the daemon lives. The kernel releases it however a process dies, so a stale file
+differs from a live one without trusting process numbers, which are reused. A user who may only read
+the file can lock it as well, but not with an open file description lock for writing (fcntl(2)):
+that one counts.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class PageFile:
                     os.fchmod(fd, 0o644)  # whatever the umask: readers are other users
                     unless_kept.pop_all()
                     return cls(path, fd)
-        raise PageInUse(f"{path} is made and removed again by others: is one daemon started twice?")
+        raise PageInUse(f"other processes create and remove {path}: is one daemon started twice?")
 
     def __enter__(self) -> Self:
         return self
@@ -138,7 +138,7 @@ class PageFile:
         self.close()
 
     def close(self) -> None:
-        """Remove the file, if it is still ours, and let go of it."""
+        """Remove the file, if it is still ours, and release it."""
         if self.fd < 0:
             return
         if _is_still(self.path, self.fd):
@@ -151,7 +151,7 @@ class PageFile:
 
 
 def _open(path: Path) -> int | None:
-    """The file, made if there is none. None: what is there is not ours alone."""
+    """The file, made if there is none. None: another user may write the file that is there."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         info = path.lstat()
@@ -205,7 +205,7 @@ def _lock(fd: int, path: Path) -> bool:
 
 
 def _is_locked_by_a_writer(fd: int) -> bool:
-    """Another one than this descriptor."""
+    """A writer other than this descriptor."""
     wanted = _LOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
     kind, *_ = _LOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, wanted))
     return bool(kind != fcntl.F_UNLCK)

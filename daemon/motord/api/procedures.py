@@ -58,6 +58,6 @@ def chosen(procedure: str, options: Mapping[str, object]) -> dict[str, float]:
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if not number or not option.low <= value <= option.high:  # type: ignore[operator]
             span = f"{option.low:g} to {option.high:g} {option.unit}"
-            raise ValueError(f"{option.title}: {value!r:.40} is no number of {span}")
+            raise ValueError(f"{option.title}: {value!r:.40} is not a number from {span}")
         found[name] = float(value)  # type: ignore[arg-type]
     return found

@@ -227,7 +227,7 @@ class StatePage:
         self.close()
 
     def close(self) -> None:
-        """Let go of the page."""
+        """Release the page."""
         self._memory.close()
 
     @property

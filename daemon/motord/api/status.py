@@ -23,7 +23,7 @@ NAN = math.nan
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """What is asked for, and what the robot makes of it."""
+    """What is requested, and what the robot does with it."""
 
     command_age_s: float | None = None
     """None: no command ever."""
@@ -133,7 +133,7 @@ class LineStatus:
     state: str = ""
     """closed, configuring or ready."""
     waits_for: str | None = None
-    """What keeps the line or a drive of it from being armed; None: nothing."""
+    """Why the line or one of its drives cannot be armed; None: it can."""
     port: str = ""
     engine: str = ""
     exchanges: int = 0
@@ -159,7 +159,7 @@ class LeaseStatus:
     lateral_m_s: float | None = None
     rate_hz: float | None = None
     held: bool = False
-    """It asked for motion while nothing may move, and has to send zero first."""
+    """It requested motion while nothing could move, and has to send zero first."""
     why: str = ""
 
 
@@ -188,7 +188,7 @@ class Commands:
 
 @dataclass(frozen=True, kw_only=True)
 class Limited:
-    """A reason why the set-point is not what was asked for."""
+    """A reason why the set-point differs from the request."""
 
     for_s: float = NAN
     """How long it has held."""

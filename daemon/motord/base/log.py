@@ -2,8 +2,8 @@
 """Where the log goes: to the journal, with fields to search by, where stderr is the journal's; else
 to stderr.
 
-Its reader may stop reading, and then a write blocks. The robot does not wait for that: a thread
-of its own writes, and what does not find room in its queue is lost.
+The reader of the log may stop reading, and then a write blocks. The robot does not wait for that: a
+separate thread writes, and drops what does not fit into its queue.
 
 Sources: systemd.exec(5), $JOURNAL_STREAM; systemd, docs/JOURNAL_NATIVE_PROTOCOL.md.
 """

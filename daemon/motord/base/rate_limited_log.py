@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A voice for what others on the network can cause at any rate."""
+"""A log for events that other machines on the network can cause at any rate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ AGAIN_S = 10.0
 
 
 class RateLimitedLog:
-    """The first of one matter, and then one of many each `AGAIN_S` with how many there were."""
+    """Logs the first of many equal messages, then one each `AGAIN_S` with their number."""
 
     def __init__(self, log: logging.Logger) -> None:
         self._log = log

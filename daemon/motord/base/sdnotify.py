@@ -16,7 +16,7 @@ class Notifier:
         # "@name" is in the abstract name space, which the kernel spells with a leading NUL
         self._address = "\0" + path[1:] if path.startswith("@") else path
         self.watchdog_s = _watchdog_s(environ)
-        """The supervisor wants WATCHDOG=1 at least so often; None: it does not watch."""
+        """The supervisor expects WATCHDOG=1 at least so often; None: it does not watch."""
 
     def _send(self, text: str) -> bool:
         """True when it was taken."""

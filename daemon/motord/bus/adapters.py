@@ -44,8 +44,8 @@ class Adapter(Protocol):
     feed is lost."""
 
     async def run(self) -> None:
-        """Until cancelled; the world's faults are logged once and survived. One that raises is run
-        again (motord.bus.guard)."""
+        """Runs until cancelled. It logs a failure outside motord once and goes on. An adapter that
+        raises is run again (motord.bus.guard)."""
         ...
 
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the second process gives up at its start, so that nothing in it can cost the robot anything:
-capabilities, all but the lowest real-time priority, memory without end, and its turn before
-others."""
+"""What the second process gives up at its start, so that it cannot disturb the robot: capabilities,
+all but the lowest real-time priority, unlimited memory, and its share of the processor."""
 
 from __future__ import annotations
 
@@ -18,8 +17,8 @@ NICENESS = 5
 REALTIME_PRIORITY_MAX = 1
 """The lowest there is, for what motord.bus.ros2.dds.priority names; where it is granted at all."""
 REALTIME_RUNS_MAX_US, REALTIME_KILLED_AFTER_US = 50_000, 2_000_000
-"""So long a real-time thread may run without a pause: then SIGXCPU, which ends the process where
-nothing handles it, and at last SIGKILL. Source: RLIMIT_RTTIME in getrlimit(2)."""
+"""How long a real-time thread may run without a pause. Then it gets SIGXCPU, which ends the process
+where nothing handles it, and at last SIGKILL. Source: RLIMIT_RTTIME in getrlimit(2)."""
 _OOM_SCORE_ADJ = 500
 """proc_pid_oom_score_adj(5): before the daemon, when the machine is out of memory."""
 _PR_SET_NO_NEW_PRIVS, _PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 38, 47, 4
@@ -29,8 +28,8 @@ _CAPABILITY_VERSION_3 = 0x20080522
 
 
 def confine() -> None:
-    """Once, before anything else. What the kernel does not grant is done without: all of it is less
-    than we have."""
+    """Call it once, before anything else. A step that the kernel refuses is left out: each one only
+    gives something up."""
     limit_realtime()
     _drop_capabilities()
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
@@ -43,7 +42,7 @@ def confine() -> None:
 
 
 def limit_realtime() -> None:
-    """The lowest priority, and never for long: in no adapter can it cost the daemon its turn."""
+    """The lowest priority, and never for long: no adapter can keep the daemon waiting."""
     with contextlib.suppress(OSError, ValueError):  # not granted: it is 0
         resource.setrlimit(resource.RLIMIT_RTPRIO, (REALTIME_PRIORITY_MAX, REALTIME_PRIORITY_MAX))
     _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)

@@ -34,7 +34,7 @@ class Sink(Protocol):
         ...
 
     def offer(self, view: View) -> None:
-        """Take it, or leave it."""
+        """Take it, or drop it."""
         ...
 
 

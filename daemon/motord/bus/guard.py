@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An adapter that fails is run again by itself: no other bus and no other input has to suffer."""
+"""An adapter that fails is started again by itself, without an effect on other buses and inputs."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from motord.bus.adapters import Adapter
 
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
 WELL_AFTER_S = 60.0
-"""A bus that has worked for so long may come back at once, and is reported again."""
+"""A bus that has worked for this long may come back at once, and is reported again."""
 
 _log = logging.getLogger(__name__)
 
 
 async def keep(where: str, adapter: Adapter, failures: MutableMapping[str, int]) -> None:
-    """Run it until it ends by itself or is cancelled. Each failure is counted under its name; of
-    a row of them only the first is logged. MemoryError goes on: the whole process has no room."""
+    """Run it until it ends by itself or is cancelled. Each failure is counted under its name; only
+    the first of a series is logged. MemoryError goes on: the whole process has no room."""
     again_s, failing = AGAIN_MIN_S, False
     while True:
         began_s = time.monotonic()
@@ -33,7 +33,7 @@ async def keep(where: str, adapter: Adapter, failures: MutableMapping[str, int])
             again_s, failing = AGAIN_MIN_S, False
         if not failing:
             failing = True
-            text = "%s failed, and is run again, also if it goes on so: %s: %s"
+            text = "%s failed and starts again; more failures are counted, not logged: %s: %s"
             _log.error(text, where, type(error).__name__, error, exc_info=error)
         await asyncio.sleep(again_s)
         again_s = min(2.0 * again_s, AGAIN_MAX_S)

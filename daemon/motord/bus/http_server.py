@@ -102,7 +102,7 @@ class HttpServer:
 
 
 class _Protocols(web.Server):
-    """Makes a protocol for each connection, and knows the strangers among them, oldest first."""
+    """Makes a protocol for each connection, and keeps the strangers among them, oldest first."""
 
     def __init__(self, answer: Answer) -> None:
         super().__init__(
@@ -133,7 +133,7 @@ class _Protocols(web.Server):
                 handler.transport.abort()
 
     def _drop(self, handler: RequestHandler) -> None:
-        """Unless it is no stranger any more."""
+        """Close the connection if it is still a stranger's."""
         if (transport := self._strangers.pop(handler, None)) is not None:
             transport.abort()
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters as every bus shows them: the limits of the base, or of each joint of a robot without
-one, which may be changed while the robot runs, and measures of the robot file, which may not. What
-may be is the daemon's decision, and so are the reasons."""
+one, which may be changed while the robot runs, and measures of the robot file, which may not. The
+daemon decides what may be changed, and gives the reasons."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Tunable:
     def problem(self, name: str) -> str | None:
         """Why it cannot be changed, as far as the daemon need not be asked for it."""
         if name in self.fixed:
-            return f"{name} is the robot file's and cannot be changed while the daemon runs"
+            return f"{name} comes from the robot file and cannot be changed while the daemon runs"
         if not self._is_limit(name):
             return f"no parameter {name!r}: they begin with {self._tunable}"
         return None
@@ -69,7 +69,7 @@ class Tunable:
             if (reason := self.problem(name)) is not None:
                 raise NotTaken(reason)
             if math.isnan(value) or value == -math.inf:
-                raise NotTaken(f"{name}: {value} is not a number to go by")
+                raise NotTaken(f"{name}: {value} is not a number")
         asked = {name: value if math.isfinite(value) else None for name, value in wanted.items()}
         try:
             await self._call("params.set", **asked)

@@ -44,9 +44,9 @@ _log = logging.getLogger(__name__)
 @click.option(
     "--supervised",
     is_flag=True,
-    help="For the daemon that starts it: end with stdin, write heartbeats to stdout.",
+    help="Set by the daemon: end at the end of stdin, and write heartbeats to stdout.",
 )
-@click.option("--checked-fd", type=int, hidden=True, help="What the daemon has read in the file.")
+@click.option("--checked-fd", type=int, hidden=True, help="Descriptor of the robot's data.")
 def main(
     robot_file: Path,
     overrides: tuple[str, ...],
@@ -95,7 +95,7 @@ def _own_output() -> int:
 
 
 async def _run(robot: Robot, path: Path, beats: int | None) -> None:
-    """`beats`: where to say that it lives, if the daemon wants to know."""
+    """`beats`: where to write heartbeats, if the daemon reads them."""
     runtime, end = Runtime(robot, path), asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -50,7 +50,7 @@ BROKEN = (
     *(ArithmeticError, AssertionError, AttributeError, NameError, RuntimeError),
     *(SyntaxError, TypeError),
 )
-"""How code of another package fails that was never tried."""
+"""Errors of another package's code that was never tried."""
 
 _log = logging.getLogger(__name__)
 
@@ -211,7 +211,7 @@ class Runtime:
     def _adapter(
         self, where: str, section: Any, table: Mapping[str, str], group: str
     ) -> Adapter | None:
-        """None, and a word in the log, for one that cannot be had: the others go on without it."""
+        """None, and a line in the log, where it cannot be created: the others go on without it."""
         kind = section.adapter if section.kind == "other" else section.kind
         try:
             adapter: Adapter = find(where, kind, table, group)(
@@ -222,14 +222,14 @@ class Runtime:
         except (LookupError, OSError, ValueError) as error:
             _log.error("%s is off: %s", where, error)
         except BROKEN as error:
-            text = "%s is off: it cannot be made: %s: %s"
+            text = "%s is off: it cannot be created: %s: %s"
             _log.error(text, where, type(error).__name__, error, exc_info=error)
         else:
             return adapter
         return None
 
     async def _look(self) -> None:
-        """Feed what the state page says, as long as there is one."""
+        """Feed what the state page shows, as long as there is one."""
         reported = False
         while True:
             try:
@@ -264,9 +264,9 @@ class Runtime:
     def _feed(self, snapshot: Snapshot) -> None:
         before = self.view
         if before is not None and before.snapshot.owner != snapshot.owner:
-            self._asked.set()  # another source commands: which, only the daemon knows
+            self._asked.set()  # only the daemon knows which source commands now
         if before is not None and before.snapshot.faults != snapshot.faults:
-            self._asked.set()  # so it is with the reason
+            self._asked.set()  # only the daemon knows the reason
         self.view = View(
             snapshot=snapshot,
             status=before.status if before else None,
@@ -281,7 +281,7 @@ class Runtime:
             try:
                 asked_ns, status = time.monotonic_ns(), await self.call("status")
             except ClientError:
-                pass  # it is ending, or not there yet: the state page says so too
+                pass  # it is ending, or not there yet: the state page shows that too
             else:
                 if self.view is not None:
                     self.view = View(snapshot=self.view.snapshot, status=status, status_ns=asked_ns)

@@ -31,8 +31,8 @@ class Token:
         self._secret = read_secret(path, TOKEN_MIN).encode()
 
     def fits(self, shown: object) -> bool:
-        """Whether it is that; anything else than a text is not. Never raises: half a surrogate
-        pair, which JSON can say and UTF-8 cannot, is only a wrong token."""
+        """Whether that is the token; a value that is no text is not. Never raises: half a surrogate
+        pair, which JSON can hold and UTF-8 cannot, is only a wrong token."""
         if not isinstance(shown, str):
             return False
         return hmac.compare_digest(shown.encode(errors="surrogatepass"), self._secret)

@@ -23,7 +23,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "run": ("motord.cli.run:run", "Run the daemon in the foreground."),
     "init": ("motord.cli.commission.init:init", "Find the drives and write a robot file."),
     "check": ("motord.cli.files.check:check", "Check a robot file and list every problem."),
-    "doctor": ("motord.cli.commission.doctor:doctor", "Find what is wrong, and what mends it."),
+    "doctor": ("motord.cli.commission.doctor:doctor", "Find problems and how to fix them."),
     "simulate": ("motord.cli.simulate:simulate", "Simulate the drives of a robot."),
     "status": ("motord.cli.running.talk:status", "Show the state of the running robot."),
     "top": ("motord.cli.running.top:top", "Watch the running robot on a full screen."),
@@ -67,8 +67,8 @@ COMMANDS: dict[str, tuple[str, str]] = {
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands by name and imports one when it is asked for. Under --json
-    an error is one JSON object too, and Ctrl-C ends without a word."""
+    """A group that knows its commands by name and imports one when it is asked for. Under --json an
+    error is one JSON object too, and Ctrl-C ends without a message."""
 
     def main(
         self,

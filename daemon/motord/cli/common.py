@@ -101,7 +101,7 @@ file_option = click.option(
     "robot_file",
     metavar="ROBOT.toml",
     type=click.Path(path_type=Path),
-    help="Robot file to change. Default: the one that the daemon runs by.",
+    help="Robot file to change. Default: the one that the daemon uses.",
 )
 yes_option = click.option("--yes", is_flag=True, help="Answer every yes-or-no question with yes.")
 dry_run_option = click.option(

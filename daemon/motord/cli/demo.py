@@ -179,7 +179,7 @@ def show_odometry(result: Result, odometry: dict[str, Any], report: dict[str, An
     )
     row("", report["worth"])
     if result.chip_imu:
-        row("", "nothing stands for the gyro on I2C here: the heading is that of the wheels")
+        row("", "the demo does not simulate the gyro on I2C: the heading comes from the wheels")
 
 
 def show_machine(result: Result | JointResult, report: dict[str, Any]) -> None:
@@ -218,6 +218,6 @@ def show_machine(result: Result | JointResult, report: dict[str, Any]) -> None:
 
 
 def row(name: str, text: str) -> None:
-    """Nothing where there is nothing to say."""
+    """Prints nothing for an empty text."""
     if text:
         click.echo(f"  {name:10} {text}")

@@ -106,7 +106,7 @@ def latency(
         show_comparison(pair, as_json=as_json)
         return
     if pause and not suspects:
-        raise click.UsageError("--pause goes with --suspects")
+        raise click.UsageError("--pause needs --suspects")
     from motord.tools.latency.load import LoadError
     from motord.tools.latency.measure import LatencyError, LatencyOptions, Progress, run_latency
 
@@ -252,7 +252,7 @@ def verdict_lines(report: LatencyReport, verdict: Verdict) -> list[str]:
     for one in report.trials:
         rates = f"{one.late_per_s:8.1f} late ticks /s{one.overruns_per_s:8.1f} overruns /s"
         lines.append(f"  {one.name + ':':<40}{rates}")
-    return [*lines, f"culprit: {verdict.culprit.words}", f"  mend: {verdict.culprit.cure}"]
+    return [*lines, f"culprit: {verdict.culprit.words}", f"  fix: {verdict.culprit.cure}"]
 
 
 def heading(report: LatencyReport) -> tuple[str, str]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 BUS_ENDS_WITHIN_S = 5.0
 LAST_SHOWN_S = 1.0
-"""The end stays on the state page for so long: rates go down to 1 Hz."""
+"""The end stays on the state page for this long: rates go down to 1 Hz."""
 UNWINDING = (signal.SIGTERM, signal.SIGHUP)
 """End the program as Ctrl-C does."""
 

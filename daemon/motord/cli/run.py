@@ -43,7 +43,7 @@ _log = logging.getLogger(__name__)
     "--bus/--no-bus",
     default=True,
     show_default=True,
-    help="Start motord-bus for the networked buses of the file, or leave that to you.",
+    help="Start motord-bus for the networked buses of the file, or start none.",
 )
 @json_option
 def run(

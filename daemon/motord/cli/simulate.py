@@ -49,7 +49,7 @@ from motord_hal.sim.runner import SPIN_S, run, set_pace
 SEED_MAX = 1 << 32
 PORT_MAX = 65535
 FULL_DUTY_RAD_S = 15.0
-"""Of duty drives whose robot file does not say."""
+"""Of duty drives whose robot file does not give it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +191,7 @@ def simulate(
     if robot_file is None:
         raise click.UsageError("Missing argument 'ROBOT.toml'.")
     if tcp is not None and rtu_over_tcp is not None:
-        raise click.UsageError("either --tcp or --rtu-over-tcp")
+        raise click.UsageError("give either --tcp or --rtu-over-tcp")
     robot = load_or_exit(robot_file, overrides)
     stopped = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -251,7 +251,7 @@ def _ports(robot: Robot, first: _Address | None, *, raw: bool) -> dict[str, Port
 
 
 def rig_spec(robot: Robot, faults: tuple[str, ...], seed: int) -> RigSpec:
-    """The robot file as the simulator wants it."""
+    """The robot file as the simulator takes it."""
     profiles = robot.profiles
     return RigSpec(
         robot=robot.robot.name,

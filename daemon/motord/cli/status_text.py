@@ -36,7 +36,7 @@ def show_status(found: dict[str, Any]) -> None:
 
 
 def _telling(reasons: Sequence[str], state: str) -> list[str]:
-    """Without what is so of every robot that is not driven."""
+    """Without the reasons that hold for every robot at rest."""
     usual = () if state in ("armed", "moving", "stopping") else ("not_armed", "command_stale")
     return [reason for reason in reasons if reason not in usual]
 

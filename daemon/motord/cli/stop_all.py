@@ -35,7 +35,7 @@ WITHIN_S = 5.0
 @set_option
 @usual_option(
     "--within-s", click.FloatRange(0.1, 60.0), WITHIN_S,
-    "Longest time; what was not sent by then is not sent.",
+    "Give up after this time.",
 )  # fmt: skip
 @json_option
 def stop_all(robot_file: Path, overrides: tuple[str, ...], within_s: float, as_json: bool) -> None:

@@ -98,7 +98,7 @@ class Terminal:
                 value = math.nan
             if low <= value <= high:
                 return value
-            self.show(f'"{text}" is no number of {low:g} to {high:g} {unit}')
+            self.show(f'"{text}" is not a number from {low:g} to {high:g} {unit}')
 
     def text(self, question: str, default: str) -> str:
         """A line; empty: the default."""

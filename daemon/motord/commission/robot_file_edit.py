@@ -51,7 +51,7 @@ class RobotFileText:
         except OSError as error:
             raise EditError(f"{path}: cannot be read: {error.strerror}") from error
         except UnicodeDecodeError as error:
-            raise EditError(f"{path}: is no UTF-8: {error.reason}") from error
+            raise EditError(f"{path}: is not UTF-8: {error.reason}") from error
 
     @property
     def text(self) -> str:

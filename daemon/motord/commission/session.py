@@ -59,7 +59,7 @@ class Session:
         *,
         lateral_m_s: float = 0.0,
     ) -> Held:
-        """Command this twist for so long, or until `enough`, then zero until the robot is at rest.
+        """Command this twist for a time, or until `enough`, then zero until the robot is at rest.
         Raises Aborted, Failed, ClientError."""
         found: list[Snapshot] = []
         end_s = time.monotonic() + seconds

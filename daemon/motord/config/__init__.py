@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file: `load_robot` reads one, and says every problem at once with its line."""
+"""The robot file: `load_robot` reads one, and reports every problem at once with its line."""
 
 from motord.config.problems import ConfigError, Problem
 from motord.config.robot_file import load_robot

@@ -46,7 +46,7 @@ _BAD_TEXT = {
     HOST: "is neither the name of a machine nor an address",
     ROUTER: "is neither tcp/HOST:PORT nor tls/HOST:PORT",
     PART_NAME: "must be lower-case letters, digits and _, and begin with a letter",
-    CHANNEL: "is no channel: channels are numbered 1 to 8",
+    CHANNEL: "is not a channel: channels are numbered 1 to 8",
 }
 """By patterns; all others are those of names."""
 _NOTHING = object()
@@ -54,8 +54,8 @@ _NOTHING = object()
 
 @dataclass(frozen=True, slots=True)
 class Complaint:
-    """A problem at a path; `stand_in` would do for the value (`_NOTHING`: without it), `rename`
-    for the key, and then `factor` times the value for the value."""
+    """A problem at a path. In the mended copy `stand_in` takes the value's place (`_NOTHING`: the
+    key goes), or `rename` the key's, and then `factor` times the value the value's."""
 
     path: Path
     text: str
@@ -103,8 +103,8 @@ def mended(data: dict[str, Any], complaints: Sequence[Complaint]) -> dict[str, A
 
 
 def touched(complaints: Sequence[Complaint]) -> set[Path]:
-    """The paths that were mended: what follows from them is not worth saying. A table without one
-    of its entries is another table."""
+    """The paths that were mended: what follows from them is not reported. A table without one of
+    its entries is another table."""
     renamed = {(*hit.path[:-1], hit.rename) for hit in complaints if hit.rename}
     lacking = {hit.path[:-1] for hit in complaints if hit.stand_in is _NOTHING}
     return {hit.path for hit in complaints} | renamed | lacking

@@ -40,7 +40,7 @@ from motord_hal.drives.profile import DriveProfile
 __all__ = ["core_config", "base_limits", "line_specs", "loop_settings"]
 
 _NOTIFY_HZ = 50.0
-"""How often asyncio looks at the state when no publisher wants more."""
+"""How often asyncio looks at the state when no publisher needs it more often."""
 _SLOW_PART = 0.02
 """Parts of a wheel's working speed: slower than this it does not turn,"""
 _APART_PART = 0.1
@@ -52,7 +52,7 @@ _DUTY_THAT_TURNS = 0.4
 _UNSURE_COUNTS_PER_S = 20.0
 """What four counts come to when speeds are smoothed over 0.2 s (csrc/core/plausible.c)."""
 _STALL_COUNTS = 8.0
-"""So many have to be missing before an encoder counts as standing."""
+"""How many counts have to be missing before an encoder counts as standing."""
 
 
 def loop_settings(
@@ -243,7 +243,7 @@ def _plausible(robot: Robot, name: str, profile: DriveProfile) -> PlausibleConfi
 
 
 def _derating(derating: Derating) -> DeratingConfig:
-    """What is not given is not in use."""
+    """A limit that is not given is not in use."""
     found: list[DeratingRange] = []
     for begin, end in PAIRS.values():
         full, none = getattr(derating, begin), getattr(derating, end)

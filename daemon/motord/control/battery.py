@@ -38,7 +38,7 @@ class Measure:
 
     @property
     def counts(self) -> bool:
-        """It says something: a battery that drives a robot is not at zero volts."""
+        """Whether it is a measurement: a battery that drives a robot is not at zero volts."""
         return math.isfinite(self.voltage_v) and self.voltage_v > 0.0
 
 
@@ -83,7 +83,7 @@ class BatteryWatch:
         self.level = BatteryLevel.UNKNOWN
 
     def take(self, measure: Measure | None, now_ns: int) -> str | None:
-        """Look at a measure, or at there being none. What is worth a line in the log, or None."""
+        """Take a measure; None: there is none. Returns a line for the log, or None."""
         if measure is None or not measure.counts:
             return self._miss(now_ns)
         self._measure, self._received_ns, self._reported_silent = measure, now_ns, False

@@ -2,7 +2,7 @@
 """Does everything that must move still move? Heartbeats, judged: pure, given the time.
 
 A heart is a counter. It beats when the counter has moved within the heart's own time. One may be
-excused (a line that is being reopened has no cycles, and says so by itself); an excused heart
+excused (a line that is being reopened has no cycles, and reports that itself); an excused heart
 neither beats nor fails. Only when none fails is the supervisor's watchdog fed.
 """
 

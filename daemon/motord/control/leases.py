@@ -61,9 +61,9 @@ class Lease:
     angular_rad_s: float
     lateral_m_s: float
     held: bool
-    """Its command counts as zero until zero was asked for."""
+    """Its command counts as zero until it has requested zero."""
     wants_motion: bool
-    """Something else than zero was asked for, held or not."""
+    """A value other than zero was requested, held or not."""
     joint_values_u: Mapping[int, float]
     """By place, as LeaseState."""
 
@@ -151,7 +151,7 @@ class Leases:
         return socket_number
 
     def _make_room(self, now: int) -> None:
-        """What has lapsed for so long that nothing of it counts any more makes room."""
+        """Removes leases that lapsed so long ago that nothing of them counts any more."""
         self._gone = {owner: until for owner, until in self._gone.items() if now < until}
         states = self._loop.commands().leases
         for key, granted in list(self._granted.items()):
@@ -232,7 +232,7 @@ class Leases:
         if any(twist) and not lease.wants_motion:
             raise NoLease(
                 f"{words} is more than ten times "
-                "the limit, so it counts as zero: is the unit right? (motord params list)"
+                "the limit, so it counts as zero: check the unit (motord params list)"
             )
         return lease
 
@@ -259,7 +259,7 @@ class Leases:
         if (position_rad or any(velocity_rad_s.values())) and not lease.wants_motion:
             raise NoLease(
                 "a speed or a position is more than ten times its limit, so the command counts as "
-                "zero: is the unit right? (rad, rad/s)"
+                "zero: check the unit (rad, rad/s)"
             )
         return lease
 
@@ -267,7 +267,7 @@ class Leases:
         self, source: tuple[int, str, int, float], made: Callable[[bytes, int], bytes]
     ) -> Lease:
         """`source`: connection, owner, priority and lease_s."""
-        async with self._judging:  # one at a time: a refusal has no name on it
+        async with self._judging:  # one at a time: a refusal does not name its command
             grant = self.grant(*source)
             granted = self._granted[source[0], source[1], False]
             granted.sequence += 1

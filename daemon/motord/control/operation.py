@@ -2,12 +2,11 @@
 """The robot in operation: what the daemon knows, and everything it can do without waiting.
 
 One object brings machine, leases, core and lines together; its methods run in the daemon's one
-asyncio thread and return at once, but for `drive`, which waits for the loop's word. What has to
+asyncio thread and return at once, but for `drive`, which waits for the loop's answer. What has to
 wait for drives or wheels is in `procedures.py`.
 
-Rule of the house: the core's levels are made anew from the state each time (`put_control`), so that
-no level can be forgotten.
-"""
+The core's levels are derived from the state each time (`put_control`), so that no level can be
+forgotten."""
 
 from __future__ import annotations
 
@@ -50,13 +49,13 @@ _WORRYING = {
 }
 _MAY_MOVE = (State.ARMED, State.MOVING)
 _ESTOP_INPUTS = {
-    "active": "the emergency stop's contact ({}) is active: release the button, or mend the wire",
+    "active": "the emergency stop's contact ({}) is active: release the button, or fix the wire",
     "lost": "the emergency stop's input ({}) cannot be read any more: start the daemon again",
 }
 _LATCHED = (State.FAULT, State.ESTOP)
 _GUARDED = (Event.ARM, Event.RESET)
 _BARE = "estop"
-"""The core's word, where its state was looked at before the request that has led to it."""
+"""The core's fault without details: its state was read before the request that led to it."""
 
 
 REASONS_MAX = 8
@@ -342,8 +341,8 @@ class Operation:
         self.take(event)
 
     def _follow_stop_requests(self) -> None:
-        """The loop goes by them already; the state follows. Only when the levels that this object
-        puts hold a request is it acknowledged, so that nothing moves or arms in between."""
+        """The loop follows the requests already; now the state does. A request is acknowledged only
+        when the levels of this object hold it, so that nothing moves or arms in between."""
         now, before = self.loop.stop_requests(), self.stop_requests
         if now == before or self.state is State.OFF:
             return
@@ -368,7 +367,7 @@ class Operation:
         self.loop.acknowledge_stops(requests)
 
     def look(self) -> None:
-        """The core's newest word on the robot: it may only lead to less."""
+        """Follow the core's newest state: it may only take freedom away."""
         self._follow_stop_requests()
         try:
             before, self.snapshot = self.snapshot, self.loop.read_state()
@@ -446,13 +445,13 @@ class Operation:
             self._name_also(event.text)
 
     def _name_also(self, why: str) -> None:
-        """A drive that switches itself off may say why only later."""
+        """A drive that switches itself off may report the reason only later."""
         if why not in self.why:
             self.why = (*self.why, why)
             _log.warning("fault: %s", why, extra=about(event="fault", faults=[why]))
 
     def beat(self) -> None:
-        """What has to be looked at now and then, though nothing reports it; and a heartbeat."""
+        """Checks what must be checked now and then, because nothing reports it; and a heartbeat."""
         self.look()
         if self._unready():
             self.take(Event.LOST)

@@ -60,9 +60,8 @@ async def run(
     `on_ready` is called once, with the socket's path, when it listens. `starts_bus`: motord-bus is
     started where the robot file has something for it; else another program does that.
 
-    Raises ConfigRefused, ProfileError and LookupError for what the robot file requires in vain,
-    PageInUse and SocketInUse where such a daemon runs already, OSError for what cannot be done
-    without.
+    Raises ConfigRefused, ProfileError and LookupError for what the robot file requires and is
+    missing, PageInUse and SocketInUse where such a daemon runs already, OSError for other failures.
     """
     profiles, notifier, health = robot.profiles, Notifier(), Health()
     specs = line_specs(robot, profiles)
@@ -239,7 +238,7 @@ def _hearts(operation: Operation) -> list[Heart]:
 
 
 def _line_heart(line: Line) -> Heart:
-    """A line whose port is not there has nothing to go round; it says so by its state."""
+    """A line whose port is missing does not cycle, which its state shows."""
     return Heart(
         name=f"line {line.spec.name}",
         count=line.stats().cycles,

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps the second process alive, and at arm's length: started by exec, watched by a pipe, ended by
-force when it is silent. What it does or fails to do costs the daemon a line of the log."""
+force when it is silent. Whatever it does costs the daemon no more than a line of the log."""
 
 from __future__ import annotations
 
@@ -23,19 +23,18 @@ from motord.config import Robot
 from motord_hal.base.clock import within
 
 SILENT_S = 10.0
-"""It says every second that it lives."""
+"""It sends a heartbeat every second."""
 START_WITHIN_S = 60.0
-"""Until it says so for the first time: a small computer that is busy starting takes long, and one
-that is ended before it is ready would start again for ever."""
+"""Until its first heartbeat: a small computer that is busy starting takes long, and a process that
+is ended before it is ready would start again for ever."""
 READ_BYTES, READ_EVERY_S = 4096, 0.02
-"""So much of what it says is read at a time, and no more often: a pipe that is flooded is its own
-trouble."""
+"""How much of its output is read at a time, and how often: a flooded pipe costs no more."""
 BEAT_BYTES_MAX = 65536
 BEATS_A_READ_MAX = 8
 END_WITHIN_S = 2.0
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
 WELL_AFTER_S = 60.0
-"""A process that has lived for so long may come back at once."""
+"""A process that has lived for this long may come back at once."""
 
 _log = logging.getLogger(__name__)
 
@@ -58,7 +57,7 @@ class BusSupervisor:
         self._voice = RateLimitedLog(_log)
 
     def report(self) -> dict[str, Any]:
-        """For `status`: process number (None: it is not there now), restarts, and its own word."""
+        """For `status`: process number (None: it does not run), restarts, and its own figures."""
         return {**self._figures, "pid": self._pid, "restarts": self._restarts}
 
     async def run(self) -> None:
@@ -74,7 +73,7 @@ class BusSupervisor:
                     self._again_s = AGAIN_MIN_S
                 self._restarts += 1
                 _log.warning(
-                    "motord-bus %s; it is started again in %g s, the robot goes on without",
+                    "motord-bus %s; it is started again in %g s, the robot goes on without it",
                     why,
                     self._again_s,
                 )
@@ -96,7 +95,7 @@ class BusSupervisor:
 
     @contextlib.asynccontextmanager
     async def _started(self) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
-        """It, and what it says. A session of its own: the terminal's signals are for the daemon."""
+        """The process, and its output. Its own session keeps the terminal's signals from it."""
         async with _pipe() as (output, write_end):
             try:
                 with _in_memory(self._checked) as fd:
@@ -113,7 +112,7 @@ class BusSupervisor:
                 await _end(process)
 
     async def _listen(self, output: asyncio.StreamReader) -> None:
-        """Until its end. Raises TimeoutError when nothing that counts comes for so long."""
+        """Until its end. Raises TimeoutError when no valid figures come for this long."""
         loop, rest = asyncio.get_running_loop(), b""
         async with within(START_WITHIN_S) as silence:
             while chunk := await output.read(READ_BYTES):
@@ -129,7 +128,7 @@ class BusSupervisor:
             try:
                 self._figures = _figures(line)
             except (ValueError, RecursionError):
-                self._voice.say(f"motord-bus sends what are no figures: {line[:80]!r}")
+                self._voice.say(f"motord-bus sent a line that is not its figures: {line[:80]!r}")
             else:
                 return True
         return False

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps the thread that reads the inertial sensor alive, and says what changes."""
+"""Keeps the thread that reads the inertial sensor alive, and logs what changes."""
 
 from __future__ import annotations
 

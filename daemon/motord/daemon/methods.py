@@ -199,7 +199,7 @@ def _lease(
     operation: Operation, command_sockets: CommandSockets, caller: Caller, params: LeaseParams
 ) -> dict[str, Any]:
     """The right to command by datagrams, for as long as this connection lasts. An owner that is
-    named as an input of the second process is given what that section says."""
+    named as an input of the second process gets what that section gives."""
     section = command_sockets.inputs.get(params.owner, command_sockets.section)
     if section is None:
         raise Refused('the robot file has no [input.*] of kind = "rt": no commands as datagrams')

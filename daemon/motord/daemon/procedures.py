@@ -59,7 +59,7 @@ async def _arm_core(operation: Operation) -> None:
 
 
 async def disarm(operation: Operation) -> State:
-    """Down the ramp, then the power off. Raises Refused where a drive did not say that it is."""
+    """Down the ramp, then the power off. Raises Refused where a drive did not confirm it."""
     async with operation.busy:
         problems = await _come_down(operation, RAMP_MAX_S, force=asyncio.Event())
         await _take_in_datagram(operation)

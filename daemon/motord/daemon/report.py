@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon says about itself: `status` and `latency` of the local socket."""
+"""What the daemon reports about itself: `status` and `latency` of the local socket."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file as it was when the daemon started, kept beside its socket: after a crash the
-drives that were driven are to be stopped, whatever has become of the file meanwhile."""
+"""The robot file as it was when the daemon started, kept beside its socket: after a crash motord
+stop-all stops the drives that the daemon drove, however the file was changed since."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class RunningFile:
-    """What a daemon runs, or has run, by."""
+    """The robot file and options that a daemon uses, or has used."""
 
     file: str
     """The robot file's whole path."""
@@ -37,8 +37,8 @@ class RunningFile:
 
 @contextlib.contextmanager
 def kept(robot: Robot, folder: Path) -> Iterator[None]:
-    """Until an end in good order. A robot runs without it where it cannot be kept: that is
-    logged."""
+    """Kept until the daemon ends in good order. Where it cannot be kept, that is logged and the
+    robot runs without it."""
     ours = RunningFile(str(robot.path.absolute()), robot.text, robot.overrides)
     place = folder / _name(robot.path)
     try:
@@ -50,8 +50,8 @@ def kept(robot: Robot, folder: Path) -> Iterator[None]:
 
 
 def find(robot_file: Path, folders: Sequence[Path] | None = None) -> RunningFile | None:
-    """What the daemon that ran last by this file, and did not end in good order, ran by. None:
-    there is none, or it is not ours to read."""
+    """The robot file that the last daemon on this file used, if that daemon did not end in good
+    order. None: there is none, or it is not ours to read."""
     for folder in socket_folders() if folders is None else folders:
         place = folder / _name(robot_file)
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
@@ -69,7 +69,7 @@ def forget(robot_file: Path) -> None:
 
 
 def _name(robot_file: Path) -> str:
-    """By the file and not by the robot's name, which stands in it."""
+    """Named after the file, not after the robot, whose name is in the file."""
     path = os.fsencode(robot_file.absolute())
     return f"{robot_file.stem}.{hashlib.sha256(path).hexdigest()[:16]}.running"
 

@@ -11,7 +11,7 @@ from motord.config import Robot
 from motord.realtime.types import GuardConfig
 
 LINE_CYCLES = 5
-"""So many cycles may a line with enabled drives leave out."""
+"""How many cycles a line with enabled drives may miss."""
 
 
 @contextlib.contextmanager

@@ -32,13 +32,13 @@ class CommandSockets:
     inputs: Mapping[str, BusInput] = field(default_factory=dict)
     """What the second process may request, by the names of its inputs."""
     paths: tuple[Path, ...] = ()
-    """Of a lease each: a source that floods its own blocks no other."""
+    """One for each lease: a source that floods its own socket blocks no other source."""
     udp_port: int | None = None
     fds: tuple[int, ...] = ()
 
 
 def section_of(robot: Robot) -> RtInput | None:
-    """The robot file's word on commands as datagrams; None: there are to be none."""
+    """The robot file's section for commands as datagrams; None: there is none."""
     return next((found for found in robot.input.values() if isinstance(found, RtInput)), None)
 
 

@@ -55,7 +55,7 @@ class RpcError(Exception):
 
 
 class Refused(RpcError):
-    """Understood, and no: the message says why and what to do."""
+    """Understood and refused: the message says why and what to do."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason, REFUSED)
@@ -85,7 +85,7 @@ class Method:
     commands: bool = True
     """Only for callers that may command."""
     urgent: bool = False
-    """Never too many calls to be taken."""
+    """It is accepted however many calls are running."""
 
 
 # --------------------------------------------------------------------------------- the socket file
@@ -141,7 +141,7 @@ def _clear_away(path: Path) -> None:
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(mode):
-        raise SocketInUse(f"{path} is there and is no socket: give another --socket")
+        raise SocketInUse(f"{path} is there and is not a socket: give another --socket")
     with socket.socket(socket.AF_UNIX) as probe:
         probe.settimeout(1.0)
         try:
@@ -301,7 +301,7 @@ class _Connection:
             self.close()
 
     def close(self) -> None:
-        """What the kernel would not take of the answers is not waited for."""
+        """Does not wait for answers that the kernel has not taken."""
         if self._writer is None:
             self._peer.close()
         elif self._writer.transport.get_write_buffer_size():
@@ -310,7 +310,7 @@ class _Connection:
             self._writer.close()
 
     async def _read(self, reader: asyncio.StreamReader) -> bytes | None:
-        """A line; None at the end, and after a line too long to be meant well."""
+        """A line; None at the end, and after a line that is too long."""
         try:
             return await reader.readuntil(b"\n")
         except asyncio.LimitOverrunError:
@@ -380,7 +380,7 @@ class _Connection:
             reply = json.dumps(answer, allow_nan=False)
         except ValueError as error:  # our own mistake, and no reason to let the robot go
             _log.exception("an answer to process %d", self._caller.pid)
-            problem = {"code": INTERNAL_ERROR, "message": f"the answer is no JSON: {error}"}
+            problem = {"code": INTERNAL_ERROR, "message": f"the answer is not JSON: {error}"}
             reply = json.dumps({"jsonrpc": "2.0", "id": number, "error": problem})
         writer.write(reply.encode() + b"\n")
         if writer.transport.get_write_buffer_size() > UNREAD_BYTES_MAX:
@@ -389,7 +389,7 @@ class _Connection:
 
 # ----------------------------------------------------------------------------------------- framing
 _NOBODY = object()
-"""The id of a notification: a request that wants no answer."""
+"""The id of a notification: a request that expects no answer."""
 
 
 def _request(line: bytes) -> dict[str, Any]:
@@ -414,5 +414,5 @@ def _no_constant(name: str) -> float:
 
 
 def json_number(value: float) -> float | None:
-    """JSON has neither NaN nor infinity, which a drive may well say: None."""
+    """None for NaN and infinity: JSON has neither, and a drive may report them."""
     return value if math.isfinite(value) else None

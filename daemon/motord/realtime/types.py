@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes into the real-time loop and what it says of itself, as plain values.
+"""What goes into the real-time loop and what it reports about itself, as plain values.
 
 The TypedDicts mirror the structs of csrc/api/api.h field by field, which holds their meanings and
 ranges.
@@ -198,7 +198,8 @@ class Percentiles:
 
 @dataclass(frozen=True, slots=True)
 class Bucket:
-    """So many samples of low_ns or more and less than high_ns; at most 1/16 of its value wide."""
+    """The number of samples of low_ns or more and less than high_ns; at most 1/16 of its value
+    wide."""
 
     low_ns: int
     high_ns: int

@@ -2,8 +2,8 @@
 """What motord-bus serves on DDS, served on another node: the same code calls the same daemon under
 the lease of an [input.*] of kind "ros2-rclpy". The standard library alone.
 
-The robot file is not here: what the commands need of it, the daemon says. It may restart. The lease
-is taken again then, and nothing moves before it is armed: the daemon's own rule. One that has
+The robot file is not here: the daemon reports what the commands need of it. When the daemon
+restarts, the lease is taken again, and nothing moves before the robot is armed. A daemon with
 another robot file than the one before is not served: its wheels may have other places.
 """
 
@@ -154,7 +154,7 @@ class BridgeRuntime(Runtime):
 
 
 class BridgeSource(Source):
-    """Takes a lease of no daemon but one that has the robot file it knows."""
+    """Takes a lease only from a daemon with the same robot file."""
 
     def __init__(
         self,
@@ -170,7 +170,7 @@ class BridgeSource(Source):
     async def _grant(self, daemon: Client) -> dict[str, Any]:
         """As Source._grant. Raises Wrong."""
         if _shape(await daemon.call("robot")) != _shape(self._description):
-            raise Wrong("the robot file is another than at the start of this bridge: start it anew")
+            raise Wrong("the robot file has changed since this bridge started: restart the bridge")
         if self._limits:
             try:
                 await Tunable(self._robot, daemon.call).change(self._limits)

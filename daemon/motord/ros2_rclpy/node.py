@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node of an installed ROS 2, with the face of motord.bus.ros2.nodes.Node: what is served on it
-does not know that it is there. The only file that knows rclpy.
+"""A node of an installed ROS 2, with the interface of motord.bus.ros2.nodes.Node: what is served on
+it is the same code. The only file that knows rclpy.
 
 rclpy works in threads of its own; what is served works in one event loop. Messages cross over as
 the bytes that ROS 2 has for them, so that no field is copied by hand. An answer is waited for in a
@@ -54,8 +54,8 @@ _log = logging.getLogger(__name__)
 
 @contextlib.contextmanager
 def opened(name: str, arguments: list[str]) -> Iterator[Node]:
-    """A node of that name, as ROS 2's arguments have it. Its log has what ours says. Its parameters
-    are what it was started with; the services for them are the robot's."""
+    """A node of that name, as ROS 2's arguments have it. Our log lines go to its log, too. Its
+    parameters are what it was started with; the services for them are the robot's."""
     context = Context()
     rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -154,7 +154,7 @@ class RclpyNode:
             return response
 
     def _type(self, kind: str) -> Any:
-        """The class of a type in Python. None, and a word in the log, for one of ours that was not
+        """The class of a type in Python. None, and a line in the log, for one of ours that was not
         built. Raises ImportError."""
         package, group, short = kind.split("/")
         try:
@@ -210,7 +210,7 @@ class Publisher:
 
 
 class Several(CallbackGroup):  # type: ignore[misc]  # rclpy is not there when types are checked
-    """So many callbacks at once, no more."""
+    """Limits the callbacks that run at once."""
 
     def __init__(self, most: int) -> None:
         super().__init__()
@@ -237,7 +237,7 @@ class Several(CallbackGroup):  # type: ignore[misc]  # rclpy is not there when t
 
 
 class _ToRos(logging.Handler):
-    """rclpy knows a place in the source by its severity: each has a line of its own here."""
+    """rclpy allows one severity for each place in the source: each has a line of its own here."""
 
     def __init__(self, logger: Any) -> None:
         super().__init__(logging.INFO)

@@ -276,7 +276,7 @@ def riding(stage: Stage) -> Iterator[Ride]:
         yield ride
     except Refused as refusal:
         raise DemoError(refused(stage, ride, refusal)) from refusal
-    with contextlib.suppress(Refused):  # a stop that takes longer than [limits] say
+    with contextlib.suppress(Refused):  # a stop that takes longer than [limits] allow
         stage.robot.stop()
     stage.wait("rest after the course", lambda status: status["at_rest"], REST_DEADLINE_S)
     ride.seconds = time.monotonic() - ride.began_s

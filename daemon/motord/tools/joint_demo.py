@@ -152,8 +152,8 @@ def _drive(stage: Stage, robot: Robot, seconds: float, progress: Progress) -> di
 
 
 def _follow(stage: Stage, leg: _Leg, seconds: float) -> None:
-    """So long, and until all rests: positions are reached then, and joints that turn have come to
-    rest again."""
+    """Command for this time, and until all joints rest: positions are reached then, and joints that
+    turn have come to rest again."""
     start_s = time.monotonic()
     while True:
         stage.check()

@@ -29,7 +29,7 @@ _CDR_HEADER_BYTES = 4
 _CHECKPOINTS_KEPT = 8
 _PART_BYTES_MAX = 64 << 20
 DIFFERENCES_MAX = 50
-"""So many ticks that differ are described; all are counted."""
+"""How many of the ticks that differ are described; all are counted."""
 
 
 class ReplayError(Exception):
@@ -147,7 +147,7 @@ def _messages(path: Path) -> Iterator[tuple[list[bytes], list[bytes]]]:
                 yield _parsed(path, message.data)
     except McapError as error:
         raise ReplayError(
-            f"{path} is no whole MCAP file ({error}): mcap recover mends it"
+            f"{path} is not a complete MCAP file ({error}): mcap recover repairs it"
         ) from error
 
 

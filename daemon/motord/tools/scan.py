@@ -175,7 +175,7 @@ def spec_of(port: str, baudrate: int, parity: str, direction: DirectionSpec) -> 
 
 
 def bound_s(settings: Sequence[tuple[int, str]], units: Sequence[int]) -> float:
-    """The longest time that asking for everybody can take."""
+    """The longest time that requests to all units can take."""
     each_s = [
         len(units) * (frame_time_s(8 + 10 + 20, baudrate, parity, 1) + 2 * REPLY_WITHIN_S + 0.008)
         for baudrate, parity in settings

@@ -267,7 +267,7 @@ class Scan:
                 return
 
     def _ask_odrives(self) -> None:
-        """Firmware 0.6 answers a request for its version; 0.5 knows none."""
+        """Firmware 0.6 answers a request for its version; 0.5 has no such request."""
         for node in [node for protocol, node in self.received.nodes if protocol == "ODrive"]:
             self._say(f"asking ODrive {node} for its version")
             self._put(can.Message(arbitration_id=node << 5, is_extended_id=False,

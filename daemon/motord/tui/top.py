@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The screen of `motord top`. It connects again by itself when the daemon is started anew."""
+"""The screen of `motord top`. It connects again by itself when the daemon is restarted."""
 
 from __future__ import annotations
 

@@ -18,9 +18,9 @@ def generate_launch_description() -> LaunchDescription:
     """The node, which is started again when it ends: a robot file that has changed ends it."""
     file = PathJoinSubstitution([FindPackageShare(PACKAGE), "config", "bridge.yaml"])
     arguments = (
-        ("namespace", "", "of the node"),
-        ("name", "motord", "of the node; motord-bus has the same one on DDS"),
-        ("robot", "", "its name, where several run here; params_file outranks it"),
+        ("namespace", "", "namespace of the node"),
+        ("name", "motord", "name of the node; motord-bus has the same one on DDS"),
+        ("robot", "", "the robot's name, where several run here; params_file outranks it"),
         ("params_file", file, "parameters of the node"),
         ("cmd_vel", "cmd_vel", "topic of commands"),
         ("joint_commands", "joint_commands", "topic of commands by wheel"),

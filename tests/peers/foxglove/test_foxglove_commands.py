@@ -220,9 +220,9 @@ async def test_an_absent_limit_is_reported_as_inf_as_in_the_robot_file(stage, po
     ("name", "value", "words"),
     [
         (LIMIT, 1e9, "out of range"),
-        (LIMIT, "fast", "no number"),
-        (LIMIT, True, "no number"),
-        (LIMIT, None, "no number"),
+        (LIMIT, "fast", "not a number"),
+        (LIMIT, True, "not a number"),
+        (LIMIT, None, "not a number"),
         ("base.track_m", 1.0, "cannot be changed"),
         ("limits.nothing", 1.0, "no parameter"),
     ],

@@ -406,7 +406,7 @@ def test_commands_with_an_unusable_stamp_are_refused_at_once(armed, age_s):
 
 
 def test_a_reader_that_requests_more_than_is_offered_is_named(stage):
-    row = f"rt{NAMESPACE}/odom: a reader is not served: it does not go with the durability"
+    row = f"rt{NAMESPACE}/odom: a reader is not served: it does not match the durability"
     with peer("topic", f"rt{NAMESPACE}/odom", "Odometry", "late"):
         wait_until(lambda: row in stage.logged(), "a log line on durability")
 
@@ -414,7 +414,7 @@ def test_a_reader_that_requests_more_than_is_offered_is_named(stage):
 def test_a_writer_of_another_type_is_named_with_the_type_to_use(stage):
     row = (
         f"rt{NAMESPACE}/cmd_vel: a writer of geometry_msgs/msg/Twist is not received:"
-        " motord wants geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
+        " motord expects geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
     )
     with peer("twist", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0):
         wait_until(lambda: row in stage.logged(), "a log line on its type")

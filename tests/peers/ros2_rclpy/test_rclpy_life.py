@@ -76,7 +76,7 @@ def test_after_a_restart_nothing_moves_before_it_is_armed_again(tmp_path):
 def test_a_daemon_with_another_robot_file_is_not_commanded(tmp_path):
     with bridged(tmp_path) as stage, restarted(stage, "base.track_m=0.5", number=signal.SIGTERM):
         assert stage.bridge.wait() == 1
-        assert "start it anew" in stage.bridge.logged()
+        assert "restart the bridge" in stage.bridge.logged()
         assert not stage.robot.status()["leases"]
 
 

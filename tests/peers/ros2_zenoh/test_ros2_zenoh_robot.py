@@ -140,8 +140,8 @@ def test_a_publisher_of_another_type_is_named_with_the_type_to_use(robot):
         wait_until(
             lambda: (
                 (
-                    "/r2/cmd_vel: a writer of geometry_msgs/msg/Twist is not received: motord wants"
-                    " geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
+                    "/r2/cmd_vel: a writer of geometry_msgs/msg/Twist is not received: motord"
+                    " expects geometry_msgs/msg/TwistStamped (stamped = false takes Twist)"
                 )
                 in stage.logged()
             ),

@@ -211,7 +211,7 @@ async def test_an_invalid_throttle_rate_is_ignored(stage, ports, throttle):
 async def test_a_message_that_is_not_a_twist_is_refused(stage, ports, message):
     request = {"op": "publish", "topic": "/cmd_vel", "msg": message}
     answer = await exchanged(ports[0], request, until=is_status, token=TOKEN)
-    assert "no Twist" in answer["msg"]
+    assert "neither a Twist" in answer["msg"]
 
 
 async def test_an_emergency_stop_behind_many_calls_stops_and_every_call_is_answered(stage, ports):

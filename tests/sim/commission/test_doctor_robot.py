@@ -116,4 +116,4 @@ def test_missing_hardware_is_exit_status_3_and_no_daemon_is_started(tmp_path):
     status, found = doctor(str(ROBOT), "--set", f"{PORT}={tmp_path / 'nothing'}")
     assert status == 3
     assert found["line.rs485"]["verdict"] == "fail"
-    assert found["drives"]["text"].startswith("not looked at")
+    assert found["drives"]["text"].startswith("not checked")

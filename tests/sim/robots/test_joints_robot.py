@@ -89,7 +89,7 @@ def test_a_stop_leaves_no_target_behind(armed):
     [
         (lambda robot: robot.joints({"roll": 0.1}), "there is no joint 'roll'"),
         (lambda robot: robot.joints({}, {"pan": 0.1}), "takes positions"),
-        (lambda robot: robot.joints({"pan": 90.0}), "is the unit right"),
+        (lambda robot: robot.joints({"pan": 90.0}), "check the unit"),
         (lambda robot: robot.drive(0.1, 0.0), "no base that drives"),
     ],
 )

@@ -127,7 +127,7 @@ def test_a_move_does_not_take_the_command_from_another_source(armed):
 @pytest.mark.parametrize(
     ("words", "code", "why"),
     [
-        (("move", "0"), 2, "no distance to go"),
+        (("move", "0"), 2, "out of range"),
         (("turn", "nan"), 2, "finite"),
         (("move", "0.3"), 1, "arm"),
     ],

@@ -104,7 +104,7 @@ def test_a_damaged_message_is_reported(recording, tmp_path):
 
 def test_a_file_that_is_no_recording_or_has_no_journal_is_reported(recording, tmp_path):
     (tmp_path / "no.mcap").write_bytes(b"nothing of that kind" * 9)
-    assert "no whole MCAP file" in command(tmp_path / "no.mcap", status=2).stderr
+    assert "not a complete MCAP file" in command(tmp_path / "no.mcap", status=2).stderr
     empty = rewritten(recording, tmp_path / "e.mcap", lambda *_: None)
     assert "journal = true" in command(empty, status=2).stderr
 

@@ -126,8 +126,8 @@ def rests_disarmed(stage):
     [
         ({"procedure": "drive"}, "no procedure"),
         ({"procedure": ["spin"]}, "no procedure"),
-        ({"procedure": "spin", "options": {"wheel_rad_s": 50.0}}, "no number of 0.1 to 5 rad/s"),
-        ({"procedure": "spin", "options": {"wheel_rad_s": "1"}}, "no number of"),
+        ({"procedure": "spin", "options": {"wheel_rad_s": 50.0}}, "not a number from 0.1 to 5"),
+        ({"procedure": "spin", "options": {"wheel_rad_s": "1"}}, "not a number from"),
         ({"procedure": "spin", "options": {"step_s": 1.0}}, "has no option"),
         ({"procedure": "spin", "joints": "left"}, "list of names"),
         ({"procedure": "spin", "joints": [1]}, "list of names"),
@@ -157,10 +157,10 @@ async def test_only_the_conducting_page_answers_and_others_can_only_stop(connect
     assert "result" in await page.answer("commission.start", **SPIN)
     number = (await question(page))["number"]
     refused = await other.answer("commission.answer", number=number, value=True)
-    assert refused["error"] == "this page conducts no procedure"
+    assert refused["error"] == "this page does not run the procedure"
     for call in ("arm", "reset", "params.set", "params.save", "commission.start"):
         assert "spin is running" in (await other.answer(call, procedure="spin"))["error"], call
-    assert "conducts it" in (await other.answer("commission.take"))["error"]
+    assert "runs this procedure" in (await other.answer("commission.take"))["error"]
     assert "result" in await other.answer("commission.stop")
     await ended(page)
 

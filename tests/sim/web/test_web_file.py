@@ -164,7 +164,7 @@ async def test_checks_run_one_at_a_time_and_too_many_are_refused(stage, connect)
 async def test_a_file_that_is_missing_or_not_text_is_reported(stage, connect):
     page = await connect()
     stage.file.write_bytes(b"# \xff\n")
-    assert "is no UTF-8" in (await page.answer("file.read"))["error"]
+    assert "is not UTF-8" in (await page.answer("file.read"))["error"]
     stage.file.unlink()
     assert "cannot be read" in (await page.answer("file.read"))["error"]
 

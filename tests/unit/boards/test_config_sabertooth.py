@@ -23,7 +23,7 @@ def errors(folder, old, new):
 
 
 def test_an_address_outside_128_to_135_is_refused(tmp_path):
-    text = "136 is no address of a Sabertooth (128 to 135)"
+    text = "136 is not an address of a Sabertooth (128 to 135)"
     assert errors(tmp_path, "unit = 129", "unit = 136") == [f"joint.rear_left.unit: {text}"]
 
 

@@ -53,7 +53,10 @@ async def test_a_failing_adapter_runs_again_and_failures_are_counted_but_reporte
     assert adapter.lives == len(ERRORS) + 1
     assert failures == {"publish.bad": len(ERRORS)}
     assert [row.getMessage() for row in caplog.records] == [
-        "publish.bad failed, and is run again, also if it goes on so: RuntimeError: camera is gone"
+        (
+            "publish.bad failed and starts again; more failures are counted, not logged:"
+            " RuntimeError: camera is gone"
+        )
     ]
 
 

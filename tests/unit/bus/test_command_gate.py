@@ -67,7 +67,7 @@ def test_joints_have_a_velocity_each_or_are_refused(unstamped, names, speeds):
         ({"name": ["left", "tail"], "velocity": [1.0, 1.0]}, "left, right"),
         ({"name": ["left", "right"], "velocity": [1.0]}, "one velocity"),
         ({"name": ["left", "left"], "velocity": [1.0, 1.0]}, "one velocity"),
-        ({"name": ["left"]}, "no JointState"),
+        ({"name": ["left"]}, "not a JointState"),
     ],
 )
 def test_joints_that_are_not_all_there_are_refused_with_the_reason(unstamped, message, why):
@@ -105,8 +105,8 @@ def test_joints_without_a_base_have_a_position_each(head):
         ({"name": ["pan", "pan"], "position": [0.1, 0.2]}, "named once"),
         ({"name": ["pan"], "velocity": [0.1]}, "joint pan takes a position"),
         ({"name": ["pan", "tilt"], "position": [0.1]}, "not one each"),
-        ({"name": ["pan"], "position": ["0.1"]}, "no JointState"),
-        ({"position": [0.1]}, "no JointState"),
+        ({"name": ["pan"], "position": ["0.1"]}, "not a JointState"),
+        ({"position": [0.1]}, "not a JointState"),
     ],
 )
 def test_free_joints_that_are_not_all_there_are_refused_with_the_reason(head, message, why):

@@ -90,7 +90,7 @@ def test_a_wheel_that_turns_against_its_duty_is_refused():
 
 def test_speeds_that_do_not_fit_a_line_are_refused():
     bent = [Point(one.duty, one.velocity_rad_s**3) for one in points()]
-    with pytest.raises(Failed, match="no line over the duty"):
+    with pytest.raises(Failed, match="does not rise evenly"):
         fit_duty("left", bent)
 
 

@@ -157,7 +157,7 @@ def test_a_misspelt_drive_gets_a_suggestion():
 
 @pytest.mark.parametrize("text", ["", "left", "1.x", "-1"])
 def test_an_invalid_unit_is_refused(text):
-    with pytest.raises(Failed, match="is no unit and channel"):
+    with pytest.raises(Failed, match="is not a unit and channel"):
         unit_and_channel(text)
 
 

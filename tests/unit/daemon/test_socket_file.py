@@ -51,7 +51,7 @@ def test_a_path_that_is_longer_than_the_kernel_takes_is_named_with_the_reason(pa
 
 def test_a_file_that_is_no_socket_is_left_alone(path):
     path.write_text("precious", encoding="ascii")
-    with pytest.raises(SocketInUse, match="no socket"), listening(path):
+    with pytest.raises(SocketInUse, match="not a socket"), listening(path):
         pass
     assert path.read_text(encoding="ascii") == "precious"
 

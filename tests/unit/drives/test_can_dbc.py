@@ -92,7 +92,7 @@ def test_scales_offsets_and_units_come_from_the_file():
             "Reserved of DRV_Command has no [signal]",
         ),
         ('[dbc]\nfile = "dbc-example.dbc"', "[dbc]\nfile = 5", "dbc.file: 5 is not a string"),
-        ('frame = "power"', 'frame = "pover"', '"pover" is no frame'),
+        ('frame = "power"', 'frame = "pover"', '"pover" is not a frame'),
     ],
 )
 def test_a_mapping_that_does_not_fit_the_file_is_reported(tmp_path, right, wrong, message):

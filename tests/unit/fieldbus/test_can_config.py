@@ -47,7 +47,7 @@ def problems(tmp_path, right, wrong, count=1, drive="odrive-0.5"):
         ("silence_s = 0.35", "silence_s = 0.1", "shorter than two periods"),
         ("period_s = 0.01\nsilence_s = 0.2", "period_s = 0.01", "silence_s: is missing"),
         ('ask = "rtr"\nperiod_s = 0.01', "", "has neither period_s"),
-        ('ask = "rtr"', 'ask = "heartbeat"', "is no frame that motord sends"),
+        ('ask = "rtr"', 'ask = "heartbeat"', "is not a frame that motord sends"),
         ("id = 0x003", "id = 0x001", "cannot be distinguished from frame heartbeat"),
         ('sender = "motord"', 'sender = "motord"\nperiod_s = 1', "only for frames of the drive"),
         ("bitrate = 250000", "bitrate = 9", "can.bitrate: 9 is out of range"),
@@ -173,7 +173,7 @@ def test_a_bus_that_is_nearly_full_is_warned_of():
 
 
 def test_a_node_that_the_drive_cannot_have_is_an_error():
-    assert "64 is no address of drive" in wrong("joint.left.unit=64")
+    assert "64 is not an address of drive" in wrong("joint.left.unit=64")
     loaded("joint.left.unit=0")
 
 
@@ -237,7 +237,7 @@ CSV = (config_dir() / "drives" / "cia402-csv.toml").read_text(encoding="utf-8")
         ('"interpolation_time", cycle', '"mode", cycle', "cycle is for a time"),
         ('"interpolation_time", cycle = true', '"interpolation_time"', "value: is missing"),
         ('"status_object"\nso', '"status_objekt"\nso', 'did you mean "status_object"?'),
-        ('"status_object"\nso', '"control_word"\nso', '"control_word" is nothing that can be read'),
+        ('"status_object"\nso', '"control_word"\nso', '"control_word" cannot be read'),
         ('"status_object"\nso', '"mode_shown"\nso', "mode_shown has another type, scale or unit"),
     ],
 )
@@ -298,7 +298,7 @@ MOTEUS = (config_dir() / "drives" / "moteus.toml").read_text(encoding="utf-8")
 @pytest.mark.parametrize(
     ("right", "wrong", "message"),
     [
-        ('answers = "command"', 'answers = "reply"', '"reply" is no frame that motord sends'),
+        ('answers = "command"', 'answers = "reply"', '"reply" is not a frame that motord sends'),
         ('ask = "query"', 'ask = "queri"', 'did you mean "query"?'),
         ('reply = "reply"', 'reply = "query"', "is the drive's frame for a signal"),
         ("start_bit = 120", "start_bit = 100", "overlaps"),

@@ -144,10 +144,10 @@ def moving():
         ({"armed": False}, "not armed"),
         ({"reasons": ("stop_requested",)}, "stop"),
         ({"owner": LEASE + 1}, "another source"),
-        ({"owner": 0}, "did not get there"),
+        ({"owner": 0}, "no longer arrive"),
         ({"joints": (joint(), joint(stale=True))}, "stale"),
         ({"odometry_epoch": 1.0}, "reset"),
-        ({"x_m": math.nan}, "no number"),
+        ({"x_m": math.nan}, "not a number"),
         ({"odometry_stamp_ns": 1}, "stale"),
     ],
 )
@@ -172,10 +172,10 @@ def test_a_motion_that_was_not_looked_at_for_long_is_aborted():
     base.at_ms += 901
     step = looked(base, motion)
     assert step.end is End.ABORTED
-    assert "not looked at" in step.why
+    assert "not read" in step.why
 
 
-@pytest.mark.parametrize(("owner", "why"), [(0, "nothing takes"), (LEASE + 1, "another source")])
+@pytest.mark.parametrize(("owner", "why"), [(0, "do not arrive"), (LEASE + 1, "another source")])
 def test_a_motion_that_is_never_in_command_is_aborted(owner, why):
     _, motion = begun(Goal(axis="linear", distance_u=1.0))
     late_ms = round(COMMANDS_WITHIN_S * 1000)

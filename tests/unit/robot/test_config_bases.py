@@ -85,7 +85,7 @@ def test_the_rows_of_a_lekiwi_are_those_of_its_rolling_directions():
                 ("angle_rad = 3.1416", "angle_rad = 3.1416\nrolling_rad = 3.1416"),
                 ("angle_rad = 5.236", "angle_rad = 5.236\nrolling_rad = 5.236"),
             ],
-            "nothing turns this base about",
+            "no wheel can turn this base",
         ),
         ("demo", [('side = "right"\n', "")], 'side is missing: "left" or "right"'),
         (

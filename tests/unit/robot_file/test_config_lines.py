@@ -183,7 +183,7 @@ def test_the_broadcast_unit_is_refused_for_a_servo(servos):
     with pytest.raises(ConfigError) as caught:
         servos("unit = 9", "unit = 254")
     (row,) = [str(row.text) for row in caught.value.problems if row.key == "joint.right.unit"]
-    assert "254 is no address of drive" in row
+    assert "254 is not an address of drive" in row
     assert "(0 to 252)" in row
 
 

@@ -287,8 +287,8 @@ def test_a_base_has_two_to_eight_joints(tmp_path, count):
             ],
             (
                 "joint.rear_left.inverted: joint front_left on the same side is not "
-                "inverted: do they "
-                "work together?"
+                "inverted: do both "
+                "turn alike?"
             ),
         ),
         (

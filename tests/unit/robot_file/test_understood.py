@@ -70,7 +70,7 @@ def test_defaults_are_those_that_the_file_does_not_give():
         (["joint.left.counts_per_turn=12"], "a count is 43.2 mm of travel"),
         (["joint.left.gear_ratio=0.001"], "the motor turns 0.001 times for a wheel turn"),
         (["limits.linear_m_s=5.0", "limits.linear_deceleration_m_s2=1.0"], "m to rest: is there"),
-        (["base.wheel_radius_m=0.85"], "0.85 m is a wheel of 1.7 m across: is that so?"),
+        (["base.wheel_radius_m=0.85"], "0.85 m is a wheel of 1.7 m across: is this right?"),
     ],
 )
 def test_an_implausible_value_is_questioned(settings, words):

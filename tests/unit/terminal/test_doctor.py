@@ -357,7 +357,7 @@ LINE = answer(0)["lines"]["rs485"]
          "over-current"),
         ({"joints": {"left": {**JOINT, "feedback_age_s": None}}}, "2 topics", "fail", "joint left"),
         ({"joints": {"left": {**JOINT, "position_rad": 0.0, "voltage_v": 0.0,
-                              "temperature_c": 0.0}}}, "4 values of left", "warn", "no plausible"),
+                              "temperature_c": 0.0}}}, "4 values of left", "warn", "plausible"),
         ({"joints": {"left": {**JOINT, "position_rad": 0.0, "voltage_v": None, "current_a": 0.0,
                               "temperature_c": 0.0}}}, "4 values of left", "warn", "all are zero"),
         ({"lines": {"rs485": {**LINE, "state": "closed", "waits_for": "no such port"}}},

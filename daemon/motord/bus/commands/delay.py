@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a message was in transit, by the sender's clock, which need not be set: what the
-fastest of its messages took is not known, and counts as nothing."""
+"""How long a message was in transit, by the sender's clock, which need not be set. The time of its
+fastest message is unknown and counts as zero."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 
 WINDOW_NS = 5_000_000_000
-"""A sender whose clock was set back is not believed for so long, twice at most."""
+"""A sender whose clock was set back is not believed for this long, twice at most."""
 SENDERS_MAX = 64
 
 
@@ -31,7 +31,7 @@ class Delays:
         self._clocks: OrderedDict[Hashable, _Clock] = OrderedDict()
 
     def waited_s(self, sender: Hashable, sent_ns: int, now_ns: int | None = None) -> float:
-        """Of a message that says so of its sending. `now_ns`: any clock of ours that is not set."""
+        """Of a message with its time of sending. `now_ns`: any clock of ours that is not set."""
         now_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME) if now_ns is None else now_ns
         took_ns = now_ns - sent_ns
         clock = self._clocks.get(sender)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether this process has just stood still: stopped, without a turn for long, or asleep with the
-whole machine. What came meanwhile waits in some queue, and looks new when it is taken out."""
+"""Detects that this process stood still: stopped, without a processor, or suspended with the
+machine. Messages that came meanwhile wait in queues and look new when they are read."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import time
 DRAINED_AFTER_S = 1.0
 """By then the queues are empty again."""
 LOOKS_A_GAP = 4
-STOOD_STILL = "what takes commands stood still: it may have waited for that to end"
+STOOD_STILL = "motord-bus stood still for a while, so this may be old: send it again"
 """Why something is refused then."""
 
 
 class Gap:
-    """Looks at the clock again and again; a pause between two looks that is too long is a
-    standstill. It is known to the first caller, whatever the event loop turns to first."""
+    """Looks at the clock again and again; too long a pause between two looks is a gap. The first
+    caller after a gap sees it, whichever task the event loop runs first."""
 
     def __init__(self, longest_s: float) -> None:
-        """`longest_s`: what is no gap yet. Without `watch` all is one."""
+        """`longest_s`: the longest pause that is no gap. Without `watch` every pause is one."""
         self._longest_s = longest_s
         self._looked_s = _now_s()
         self._ended_s = -math.inf
 
     def just_over(self) -> bool:
-        """There was one, and what comes now may have waited for its end."""
+        """A gap has just ended: what comes now may have waited for its end."""
         self._look()
         return self._looked_s - self._ended_s < max(DRAINED_AFTER_S, self._longest_s)
 

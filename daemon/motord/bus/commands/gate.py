@@ -28,19 +28,19 @@ COMMANDS = ("cmd_vel", "joint_commands")
 """Topics that are taken: CommandGate.take."""
 URGENT = ("estop", "stop")
 ANY_TIME = (*URGENT, "disarm", "status", "params.list")
-"""Obeyed also after having waited for this process: they look, or end at rest."""
+"""Accepted even after they waited for this process: they only read, or end at rest."""
 CALL_OLD_S = 0.5
-"""A call that waited here for less may be obeyed: the short lifetime of commands does not apply to
-calls."""
+"""A call that waited here for less time is accepted: the short lifetime of commands does not apply
+to calls."""
 CALLS_MAX = 4
 URGENT_MAX = 16
 """Calls of one urgent method that the daemon has not answered yet."""
 FUTURE_S = 0.5
-"""A command from further ahead has another idea of the time than we: its age cannot be known."""
+"""A stamp further ahead comes from a clock that differs from ours: the command's age is unknown."""
 OLD_S = 3600.0
-"""Whatever is older is as old as this: it is not obeyed."""
-ZERO_STAMP = "its stamp is zero: when was it given? (or stamped = false)"
-AHEAD = "its stamp is in the future: do the clocks agree?"
+"""The greatest age that is passed on: any command of that age is refused."""
+ZERO_STAMP = "its stamp is zero: send the time, or set stamped = false"
+AHEAD = "its stamp is in the future: synchronise the clocks"
 ABSURD = 10.0
 """Times the limit: OUT_OF_RANGE of csrc/loop/command/arbiter.c."""
 SAY_AGAIN_S = 10.0
@@ -55,11 +55,11 @@ class NotTaken(Exception):
 
 
 class CommandGate:
-    """One networked input's."""
+    """The command gate of one networked input."""
 
     def __init__(self, name: str, section: BusInput, runtime: Runtime) -> None:
-        """`section`: what is no StampedInput knows itself how long a command waited. Raises OSError
-        and ValueError for a token that cannot be used."""
+        """`section`: an input that is no StampedInput measures how long a command waited. Raises
+        OSError and ValueError for a token that cannot be used."""
         self._name = name
         self._runtime = runtime
         self._token: Token | None = None
@@ -69,7 +69,7 @@ class CommandGate:
         robot = runtime.robot
         self._joints = {name: place for place, name in enumerate(robot.joint)}
         self._free = robot.base.kind == "joints"
-        """Joints without a base: what they take is in their range, which only positions have."""
+        """Joints without a base: one that has a range of positions takes positions."""
         self._positions = {
             self._joints[name]
             for name, joint in (robot.joint.items() if self._free else ())
@@ -99,8 +99,8 @@ class CommandGate:
                 raise self._no(f"{short(other)} is not taken; there are: {', '.join(COMMANDS)}")
 
     def drive(self, message: object, waited_s: float = 0.0, sender: str = "") -> None:
-        """Pass a Twist or a TwistStamped on. `waited_s`: in transit, as far as that is known; it is
-        the age of one that says none itself. `sender`: as `act`. Raises NotTaken."""
+        """Pass a Twist or a TwistStamped on. `waited_s`: its time in transit, as far as that is
+        known; it is the age of one without a stamp. `sender`: as `act`. Raises NotTaken."""
         (linear_m_s, angular_rad_s, lateral_m_s), age_s = self._twist(message)
         if self._free and (linear_m_s, angular_rad_s, lateral_m_s) != (0.0, 0.0, 0.0):
             raise self._no("this robot has no base: command its joints by joint_commands")
@@ -125,10 +125,9 @@ class CommandGate:
             return
         self._voice.say(
             f"input.{self._name}: {sender or 'an unknown sender'} requests {linear_m_s:g} m/s,"
-            f" {angular_rad_s:g} rad/s, {lateral_m_s:g} m/s sideways: no number, or more than"
-            f" {ABSURD:g} times the limit in"
-            " the robot file, so it counts as"
-            " zero unless a higher limit is in force: is the unit right?"
+            f" {angular_rad_s:g} rad/s, {lateral_m_s:g} m/s sideways: not a number, or more"
+            f" than {ABSURD:g} times the limit in the robot file, so it counts as zero unless a"
+            " higher limit is in force: check the unit"
         )
 
     def drive_joints(self, message: object, waited_s: float = 0.0) -> None:
@@ -153,7 +152,7 @@ class CommandGate:
         return time.monotonic_ns() - round(age_s * 1e9)
 
     def _not_old(self, gap: Gap) -> None:
-        """Raises NotTaken where what says no time may have waited here."""
+        """Raises NotTaken where a message without a stamp may have waited here."""
         if gap.just_over():
             raise self._no(STOOD_STILL)
 
@@ -196,7 +195,7 @@ class CommandGate:
             stamp_s = _stamp_s(message)
             known = [self._joints.get(name, -1) for name in names]
         except (KeyError, TypeError, OverflowError) as error:
-            raise self._no(f"it is no JointState: {error}") from None
+            raise self._no(f"it is not a JointState: {error}") from None
         if -1 in known:
             raise self._no(f"it names a joint that is not one of {', '.join(self._joints)}")
         return known, lists, stamp_s
@@ -212,11 +211,11 @@ class CommandGate:
             angular_rad_s = _number(twist["angular"]["z"])
             stamp_s = _stamp_s(message)
         except (AttributeError, KeyError, TypeError, OverflowError) as error:
-            raise self._no(f"it is no Twist and no TwistStamped: {error}") from None
+            raise self._no(f"it is neither a Twist nor a TwistStamped: {error}") from None
         return (linear_m_s, angular_rad_s, lateral_m_s), self._age_s(stamp_s)
 
     def _age_s(self, stamp_s: float | None) -> float:
-        """Of what was given at that wall time. None: it did not say."""
+        """Of a command given at that wall time. None: it has no stamp."""
         if not self._stamped and not stamp_s:
             return 0.0
         if stamp_s is None:
@@ -259,7 +258,7 @@ class CommandGate:
         return await self._runtime.call(method, **params)
 
     def busy(self) -> NotTaken:
-        """The answer to a call that others have left no room for."""
+        """The answer to a call beyond those that may run at once."""
         return self._no("busy: too many calls are running")
 
     def refuse(self, why: str, count: int = 1) -> None:
@@ -287,15 +286,15 @@ def _stamp_s(message: Mapping[str, Any]) -> float | None:
 
 
 def _number(value: object) -> float:
-    """NaN and infinity pass: the loop takes them for zero, and says so. Raises TypeError, and
+    """NaN and infinity pass: the loop takes them for zero, and reports it. Raises TypeError, and
     OverflowError for a whole number that is too large."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError(f"{short(value)} is no number")
+        raise TypeError(f"{short(value)} is not a number")
     return float(value)
 
 
 def request_of(decode: Callable[[bytes], Any], raw: object, bytes_max: int) -> Mapping[str, Any]:
-    """What a stranger sent; nothing that could have a token: an empty one. `decode` raises
+    """The request of an unknown sender; empty if it cannot hold a token. `decode` raises
     ValueError."""
     if not isinstance(raw, bytes) or len(raw) > bytes_max:
         return {}
@@ -307,7 +306,7 @@ def request_of(decode: Callable[[bytes], Any], raw: object, bytes_max: int) -> M
 
 
 def short(value: object) -> str:
-    """What a stranger sent, fit for a sentence: it may be long, and nested deeply."""
+    """An unknown sender's value, short enough for a sentence: it may be long or nested."""
     return repr(value[:_SHORT]) if isinstance(value, str) else f"a {type(value).__name__}"
 
 

@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 
 REASON_CHARS_MAX = 300
-"""Of an emergency stop; the daemon refuses more."""
+"""Length of an emergency stop's reason; the daemon refuses longer ones."""
 
 
 def reason(text: str) -> dict[str, str]:
@@ -48,7 +48,7 @@ SOCKET_FULL = (
 
 
 ALL_SEEN = -1
-"""Whatever else was commanded meanwhile."""
+"""Send, whatever else was commanded meanwhile."""
 
 
 async def call(path: Path, method: str, **params: Any) -> Any:
@@ -166,7 +166,7 @@ class Source:
                 self.number = 0
 
     def lend(self, outlet: Outlet | None) -> None:
-        """Whatever is commanded goes through `outlet` from now on, and again by ourselves: None."""
+        """Commands go through `outlet` from now on; None: through this object again."""
         if self._outlet is not None:
             self._sequence = max(self._sequence, self._outlet.let_go())
         self._outlet = outlet
@@ -245,12 +245,12 @@ class Source:
                 self.sent += 1
                 return True
             case errno.ESTALE:
-                return False  # another has meanwhile asked for something else
+                return False  # another source has meanwhile requested something else
             case errno.EAGAIN:  # the next one will do
                 return self._lose(SOCKET_FULL)
             case errno.ENOTCONN:
                 return self._lose(NO_LEASE)
-        # gone: the connection's end says it
+        # gone: the end of the connection shows it
         return self._lose(f"the daemon's command socket does not take it: {os.strerror(error)}")
 
     def _lose(self, why: str) -> bool:

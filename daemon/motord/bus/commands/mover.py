@@ -47,7 +47,7 @@ class Mover:
     """Of one input. A command by that input itself ends the motion: the newest command counts."""
 
     def __init__(self, runtime: Runtime, source: Source, gap: Gap, lease_s: float) -> None:
-        """`gap`: a goal says no time; none begins where it may have waited here."""
+        """`gap`: a goal has no stamp, so none begins that may have waited here."""
         self._runtime = runtime
         self._source = source
         self._gap = gap
@@ -168,6 +168,6 @@ class Mover:
                 report(motion, newest)
                 await asyncio.sleep(self._every_s)
         finally:
-            if not self._interrupted:  # else it is another's to say where the robot goes
+            if not self._interrupted:  # else another source steers the robot
                 self._source.drive(0.0, 0.0, seen=self._direct)
                 self._source.release(seen=self._direct)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A live view for Foxglove: its own WebSocket server (foxglove-sdk), ROS 2's types and encoding. As
-a publisher it only sends; as an input it obeys clients with the token.
+a publisher it only sends; as an input it takes commands from clients with the token.
 
 The SDK's threads serve the clients; for one that is slow they drop messages.
 """

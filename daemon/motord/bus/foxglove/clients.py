@@ -40,10 +40,10 @@ if TYPE_CHECKING:
 ENCODING = "json"
 AUTHORIZE = "authorize"
 NO_LIMIT = "inf"
-"""As the robot file says it: JSON has no such number."""
+"""As the robot file writes it: JSON has no such number."""
 ANSWER_WITHIN_S = CALL_WITHIN_S + 2.0
 CHANGE_WITHIN_S = 2.0
-"""So long a change of parameters may hold up a thread that serves others, too."""
+"""How long a change of parameters may block a thread that serves other clients, too."""
 LOOK_EVERY_S = 1.0
 COMPLAIN_AGAIN_S = 0.5
 REQUEST_BYTES_MAX = 4096
@@ -51,7 +51,7 @@ WAITING_MAX = 32
 ADMITTED_MAX = 64
 CHANNELS_MAX = 256
 """Of all clients together; those that were not used for the longest time are forgotten. The SDK
-does not say when a client is gone."""
+does not report that a client is gone."""
 
 _TRIGGER = (
     ("Request", {"token": {"type": "string"}}),
@@ -87,7 +87,7 @@ class Looks(ServerListener):
 
 
 class Commands(Looks):
-    """Obeys clients with the token."""
+    """Takes commands from clients with the token."""
 
     def __init__(
         self, name: str, section: FoxgloveInput, runtime: Runtime, looks: tuple[Channel, bytes]
@@ -140,7 +140,7 @@ class Commands(Looks):
             self.server.publish_status(f"{about}: {error}", StatusLevel.Warning, about)
 
     def _content(self, about: str) -> None:
-        """What was complained about is over."""
+        """The problem that was reported is over."""
         if self._complained_s.pop(about, None) is not None and self.server is not None:
             self.server.remove_status([about])
 
@@ -275,7 +275,7 @@ def _wanted(parameter: Parameter) -> float:
     if value == NO_LIMIT:
         return float(NO_LIMIT)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise NotTaken(f'{parameter.name}: {short(value)} is no number (no limit: "{NO_LIMIT}")')
+        raise NotTaken(f'{parameter.name}: {short(value)} is not a number (no limit: "{NO_LIMIT}")')
     return float(value)
 
 

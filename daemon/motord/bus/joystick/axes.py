@@ -33,8 +33,8 @@ class Stick:
     def __init__(
         self, section: JoystickInput, codes: Codes, ranges: Mapping[int, tuple[int, int]]
     ) -> None:
-        """`ranges`: least and greatest value of each axis. Raises ValueError for an axis that the
-        device has not."""
+        """`ranges`: least and greatest value of each axis. Raises ValueError if the device lacks
+        one."""
         self._section = section
         self._codes = codes
         axes = (codes.linear, codes.angular, codes.lateral)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A joystick at this machine (evdev). Letting go of the dead-man button brings the robot to rest
-and hands it back; so does a device that is unplugged.
+"""A joystick at this machine (evdev). Releasing the dead-man button brings the robot to rest and
+gives the lease back; so does unplugging the device.
 
 A wireless pad whose radio fails looks like one that is held still until its driver notices.
 """
@@ -80,12 +80,12 @@ class Joystick:
             self._estop.ask("by its button, which is held")
 
     async def _command(self, stick: Stick) -> None:
-        """As long as it is held; one zero when it is let go, and the command is handed back."""
+        """Commands while the button is held; then one zero, and the lease is given back."""
         commanding = False
         try:
             while True:
                 if self._gap.just_over():
-                    stick.let_go()  # it may have been let go meanwhile
+                    stick.let_go()  # it may have been released meanwhile
                 if stick.held:
                     linear_m_s, angular_rad_s, lateral_m_s = stick.twist()
                     self._source.drive(linear_m_s, angular_rad_s, lateral_m_s=lateral_m_s)
@@ -127,7 +127,7 @@ def codes_of(section: JoystickInput) -> Codes:
 
 
 def stick_of(device: evdev.InputDevice[str], section: JoystickInput, codes: Codes) -> Stick:
-    """Raises ValueError for an axis that the device has not, OSError."""
+    """Raises ValueError for an axis that the device lacks, OSError."""
     axes = (codes.linear, codes.angular, codes.lateral)
     infos = {axis: device.absinfo(axis) for axis in axes if axis is not None}
     ranges = {axis: (info.min, info.max) for axis, info in infos.items()}

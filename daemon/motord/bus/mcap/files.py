@@ -23,7 +23,7 @@ MB = 1_000_000
 CONTINUOUS = ("all", "manual")
 """Modes whose files have the mode in their names, where others have what they were saved for."""
 CHUNK_BYTES = 256 * 1024
-"""So much is lost at most when the process is killed; `mcap recover` mends the file."""
+"""The most that is lost when the process is killed; `mcap recover` repairs the file."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,7 +113,7 @@ class McapRecorder:
         self._feed.dropped += self._waiting.keep(entry)
 
     async def _collect_journal(self) -> None:
-        """What a replay needs, as long as there is a daemon that writes it."""
+        """Record what a replay needs, while a daemon writes it."""
         robot = self._runtime.body.robot
         while True:
             with contextlib.suppress(NoJournal), Journal.open(robot) as journal:

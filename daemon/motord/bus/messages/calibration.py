@@ -21,11 +21,11 @@ from motord.base.extras import how_to_install
 
 Quantity = Literal["wheel_radius", "track"]
 REST_S = 2.0
-"""At rest for so long behind half of the distance: it has arrived."""
+"""A robot that rests for this long beyond half of the distance has arrived."""
 DISTANCE_MIN_M, DISTANCE_MAX_M = 0.2, 100.0
 ANGLE_MIN_RAD, ANGLE_MAX_RAD = math.pi, 100.0 * math.tau
 TURN_MAX_RAD = 0.1
-"""A path that turns by more is no straight line."""
+"""A path that turns by more is not straight."""
 TIMEOUT_S, TIMEOUT_MAX_S = 300.0, 3600.0
 _NS = 1e-9
 _TRACK_M = 2.0

@@ -108,7 +108,8 @@ def _of_all_joints(body: Body, make: Callable[..., Any]) -> Make:
 
 def _compiled(described: Description, last: str, names: dict[str, Any]) -> Callable[..., Any]:
     """A function of view, body, offset, names and joints: the description's steps, its stamp, and
-    then `last`. Its text is the tree's and numbers of joints: nothing of a robot file is in it."""
+    then `last`. Its text comes from the tree and the number of joints alone, never from a robot
+    file."""
     (stamp,) = (row.source for row in described.rows if row.path.endswith(".stamp"))
     steps = {"let": "{}", "needs": "if not ({}): return None"}
     lines = [
@@ -155,8 +156,8 @@ def _literal(described: Description, type_name: str, prefix: str) -> str:
 
 
 def _cdr_encoder(described: Description, body: Body, names: Sequence[str]) -> Callable[..., Any]:
-    """Values of known sizes are packed at once. Those between the first and the last that have none
-    are words, as a rule: they are laid out anew only where one of them is another."""
+    """Values of known sizes are packed at once. Those from the first to the last of unknown size
+    are mostly words: they are laid out again only when one of them changes."""
     found = items(described, body, names)
     places = [place for place, item in enumerate(found) if isinstance(item, Open)]
     begin, end = (places[0], places[-1] + 1) if places else (len(found), len(found))

@@ -71,7 +71,9 @@ class Journal:
         magic, version, *_ = _HEADER.unpack_from(memory)
         if magic != _MAGIC or version != _LAYOUT_VERSION:
             memory.close()
-            raise NoJournal(f"{path} is no journal of layout {_LAYOUT_VERSION}, or is being made")
+            raise NoJournal(
+                f"{path} is not a journal of layout {_LAYOUT_VERSION}, or is being made"
+            )
         return cls(path, memory)
 
     def __enter__(self) -> Self:

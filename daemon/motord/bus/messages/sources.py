@@ -30,7 +30,7 @@ _NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """What a snapshot does not say of its robot: names. REP-105 has those of the frames."""
+    """The names that a snapshot lacks. REP-105 defines those of the frames."""
 
     robot: str
     joints: tuple[str, ...]
@@ -254,6 +254,6 @@ def _pairs(values: Mapping[str, str]) -> tuple[KeyValue, ...]:
 
 
 def state_name(snapshot: Snapshot) -> str:
-    """The state machine's word; a number that this version does not know is shown as it is."""
+    """The name of the state; a number that this version does not know is shown as it is."""
     number = snapshot.machine_state
     return STATES[number] if 0 <= number < len(STATES) else f"state {number}"

@@ -143,7 +143,7 @@ TYPES = MappingProxyType(_MESSAGES | dict(_services(_MESSAGES)))
 
 
 def definition(name: str) -> str:
-    """The type and all that it is made of, in .msg notation, as MCAP and Foxglove want it."""
+    """The type and all that it is made of, in .msg notation, as MCAP and Foxglove expect it."""
     separator = "=" * 80
     return message_definition(name) + "".join(
         f"{separator}\nMSG: {other.replace('/msg/', '/')}\n{message_definition(other)}"

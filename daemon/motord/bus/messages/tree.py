@@ -10,9 +10,9 @@ dictionaries, JSON, CDR, type hashes, schemas and docs/messages.md are made from
     FIELD = EXPRESSION  # UNIT     a field of the type; what is not named is zero or empty
     TYPE FIELD = EXPRESSION  # …   the same, and the type is our own: these lines define it
 
-An expression is Python's. It knows `view` (motord.bus.messages.topics.View), `now` (its snapshot),
-`body` (names of frames and joints), `names`, and what `motord.bus.messages.sources` defines. One
-that mentions `joint` is a list with one value for each joint. A stamp is a moment of
+An expression is Python's. It may use `view` (motord.bus.messages.topics.View), `now` (its
+snapshot), `body` (names of frames and joints), `names`, and what `motord.bus.messages.sources`
+defines. One that mentions `joint` is a list with one value for each joint. A stamp is a moment of
 CLOCK_MONOTONIC in nanoseconds; the message has it as wall time.
 
 Frames: REP 105. Units: REP 103. NaN is what was not measured, as sensor_msgs has it.

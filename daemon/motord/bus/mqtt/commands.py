@@ -6,8 +6,8 @@
     call            {"token": ..., "method": "arm", "id": 7}, which is answered, also where the
                     token is missing or wrong
 
-on topics by mqtt_names.py. A retained message is an old one and is not obeyed; nor is what is
-older than the lease's lifetime.
+on topics by names.py. A retained message is old, so it is ignored; a message older than the
+lease's lifetime is refused.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class MqttCommands:
         async with asyncio.TaskGroup() as tasks:
             async for message in client.messages:
                 if message.retain:
-                    _log.warning("%s: a retained message is not obeyed", message.topic)
+                    _log.warning("%s: a retained message is ignored", message.topic)
                     continue
                 with contextlib.suppress(NotTaken):  # logged by the command gate
                     self._take(client, message, tasks)

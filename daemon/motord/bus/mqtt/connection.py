@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
 
 KEEPALIVE_S = 5
-"""A broker that is silent for so long is left: what it still holds of ours is then never taken."""
+"""A connection to a broker that is silent for this long ends; what it holds for us is lost."""
 ANSWER_WITHIN_S = 5.0
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 5.0
 QUEUED_MAX = 256

@@ -42,12 +42,12 @@ class Names(Protocol):
         ...
 
     def births(self, description: Mapping[str, Any]) -> Iterator[Sent]:
-        """What says that we are there, and what there is."""
+        """The messages that announce us, and our topics."""
         ...
 
     def death(self) -> Sent:
-        """What says that we are gone. Asked for at the beginning of each connection: the broker
-        says it in our place."""
+        """The message that we are gone. It is set up at the beginning of each connection, and the
+        broker publishes it in our place."""
         ...
 
 

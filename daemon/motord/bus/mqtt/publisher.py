@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics on an MQTT broker. What is retained says whether we are there (the broker itself says that
-we are gone) and what there is: mqtt_names.py."""
+"""Topics on an MQTT broker. Retained messages show whether we are connected (the broker itself
+publishes that we are gone) and what topics there are: names.py."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ def _commands(status: Mapping[str, Any]) -> Iterator[Family]:
         "motord_commands_total", "counter", "Commands taken.", (({}, commands["accepted"]),)
     )
     refused = tuple(({"reason": why}, count) for why, count in commands["refused"].items())
-    yield Family("motord_commands_refused_total", "counter", "Commands not obeyed.", refused)
+    yield Family("motord_commands_refused_total", "counter", "Commands refused.", refused)
     dropped = tuple(
         ({"publisher": name}, feed["dropped"])
         for name, feed in {

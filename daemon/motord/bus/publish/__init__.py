@@ -19,10 +19,10 @@ KINDS = MappingProxyType(
 
 
 class Publisher(Protocol):
-    """Passes snapshots on. It may be as slow as it likes: what it does not take in time is lost."""
+    """Passes snapshots on. It may be slow: what it does not take in time is lost."""
 
     async def run(self, feed: SnapshotFeed) -> None:
-        """Until cancelled; the world's faults are logged once and survived."""
+        """Runs until cancelled. It logs a failure outside motord once and goes on."""
         ...
 
 

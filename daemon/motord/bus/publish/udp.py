@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One datagram of JSON for each snapshot. Whether a program listens is not known, not checked."""
+"""One datagram of JSON for each snapshot. It does not check whether a program listens."""
 
 from __future__ import annotations
 

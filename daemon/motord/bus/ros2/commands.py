@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 NEWEST = Quality(depth=1, reliable=False)
 """Receives from reliable writers and others; an old command is worth nothing."""
 URGENT_RELIABLE = Quality(alone=False)
-"""Beside NEWEST: a reliable writer's word is sent again where the network lost it."""
+"""Beside NEWEST: a sample of a reliable writer that the network lost is sent again."""
 
 _WHY_CHARS = 150
 
@@ -164,7 +164,7 @@ def _asking(urgent: Urgent) -> Take:
 
 
 def _as_mapping(value: Any) -> Any:
-    """A decoded message as the command gate wants it."""
+    """A decoded message as the command gate takes it."""
     if isinstance(value, SimpleNamespace):
         return {key: _as_mapping(item) for key, item in vars(value).items()}
     return value

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of the second process: sections of the robot file that say the same share one. What is
-published and commanded does not know whether its node is on DDS or on Zenoh."""
+"""The nodes of the second process: sections of the robot file with the same settings share one.
+Publishers and inputs are the same on DDS and on Zenoh."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Node(Protocol):
 
 
 class _OwnNode(Node, TypedNode, Protocol):
-    """One without an installed ROS 2, which would say itself what its types are made of."""
+    """A node without an installed ROS 2, which would describe its types itself."""
 
 
 _Key = tuple[type, str, str, int]

@@ -116,7 +116,7 @@ class Contest:
         ]
 
     def _say(self, names: frozenset[str], now_s: float) -> None:
-        """Once for two."""
+        """Each pair is logged once."""
         both = [row for row in self.report(now_s) if row["from"] in names]
         if names in self._reported or not all(row["rate_hz"] for row in both):
             return

@@ -19,7 +19,7 @@ def static_transforms(description: str, stamp_ns: int, prefix: str = "") -> Simp
     try:
         root = fromstring(description)
     except ParseError as error:
-        raise ValueError(f"the robot description is no XML: {error}") from error
+        raise ValueError(f"the robot description is not XML: {error}") from error
     sec, nanosec = divmod(stamp_ns, 1_000_000_000)
     stamp = SimpleNamespace(sec=sec, nanosec=nanosec)
     return SimpleNamespace(transforms=tuple(_frames(root, stamp, prefix)))

@@ -18,7 +18,7 @@ DESCRIPTION, STRING = "robot_description", "std_msgs/msg/String"
 WHEEL_WIDTH = 0.4
 """By its radius."""
 SPACING = 2.2
-"""Between wheels of one side, by the radius: the robot file does not say it."""
+"""Between wheels of one side, by the radius: the robot file does not give it."""
 
 
 def description(robot: Robot) -> bytes:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rosbridge server: JSON over WebSocket (protocol 2.0, ROSBRIDGE_PROTOCOL.md of
-RobotWebTools/rosbridge_suite). As a publisher it only sends; as an input it obeys clients that
-connected with the token."""
+RobotWebTools/rosbridge_suite). As a publisher it only sends; as an input it takes commands from
+clients that connected with the token."""
 
 from __future__ import annotations
 

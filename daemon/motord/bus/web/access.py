@@ -22,7 +22,7 @@ PROTOCOL, TOKEN_PREFIX = "motord.1", "token."
 """Subprotocols of the WebSocket. The second one carries the token, as base64url without padding:
 a page cannot set a header."""
 WRONG_TOKEN = "the token is wrong"  # noqa: S105  a sentence
-NEEDS_TOKEN = "this robot shows itself only to pages with its token"  # noqa: S105  a sentence
+NEEDS_TOKEN = "this dashboard needs the token of the robot"  # noqa: S105  a sentence
 _LOCAL_NAMES = ("127.0.0.1", "[::1]", "localhost")
 _FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Forwarded-Host", "X-Real-IP", "Via")
 

@@ -48,7 +48,7 @@ class Events:
         self._publish(event)
 
     def look(self, view: View) -> None:
-        """At what has changed."""
+        """Note what has changed."""
         if view.status is not None and view.status_ns != self._status_ns:
             self._status_ns = view.status_ns
             self._look_at_status(view)

@@ -37,7 +37,7 @@ _JOINT = tuple(
     for key in dataclasses.fields(JointSnapshot)
 )
 _UNKNOWN = 2
-"""`enabled` of a drive that cannot say."""
+"""`enabled` of a drive that cannot report it."""
 _F32_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 _BITS = {word: 1 << bit for bit, word in REASONS.items()}
 _FAULT_BITS = {word: 1 << bit for bit, word in FAULTS.items()}

@@ -67,7 +67,7 @@ class Tape:
         return {}
 
     def redeem(self, request: web.BaseRequest) -> web.StreamResponse | None:
-        """A download. None: its address is not good any more."""
+        """A download. None: its address has expired."""
         path = self._files.redeem(request.path)
         if request.method != "GET" or path is None:
             return None

@@ -51,7 +51,7 @@ Serve = Callable[["Viewer", str, Mapping[str, Any]], Awaitable[Any]]
 
 
 class Allowance:
-    """So many a second, and a second's worth at once."""
+    """Limits a rate: at most so many a second, and as many at once."""
 
     def __init__(self, rate_hz: float) -> None:
         self._rate_hz = self._left = rate_hz

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord calibrate`: what a tape measure knows better than the robot file."""
+"""`motord calibrate`: measure the robot, and write the results into the robot file."""
 
 from __future__ import annotations
 
@@ -173,5 +173,5 @@ def _written(person: Terminal, edit: RobotFileEdit, options: dict[str, Any]) -> 
 
     backup = write_asking(person, edit, dry_run=options["dry_run"])
     if backup is not None:
-        person.show("Start the daemon again: it runs by the new file then.")
+        person.show("Restart the daemon to use the new file.")
     return None if backup is None else str(backup)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord doctor`: what is wrong here, and what mends it."""
+"""`motord doctor`: problems of this machine and this robot, and how to fix them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _HARDWARE = ("device", "drive")
 @set_option
 @socket_option
 @click.option("--no-drives", is_flag=True, help="Start no daemon to see the drives.")
-@click.option("--fix", is_flag=True, help="Carry out the safe mends, each after a question.")
+@click.option("--fix", is_flag=True, help="Apply the safe fixes, each after a question.")
 @click.option("--yes", is_flag=True, help="With --fix: do not ask.")
 @click.option(
     "--root",
@@ -50,7 +50,7 @@ def doctor(
 ) -> None:
     """Check this machine, the devices and drives of a robot file, and the running daemon.
 
-    Each line is ok, warn or fail, with the command that mends it. If no daemon runs for the robot
+    Each line is ok, warn or fail, with the command that fixes it. If no daemon runs for the robot
     file, one is started for some seconds: it configures the drives and stays disarmed, so nothing
     moves. The exit status is 3 if a device or a drive fails or a fault is latched, 1 if something
     else fails.
@@ -95,7 +95,7 @@ def _all(root: Root, robot: Robot | None, path: Path | None, *, drives: bool) ->
         if not usable and client is None:
             yield Finding(
                 group="drive", check="drives", verdict="warn",
-                text="not looked at: a device fails", mend="mend the device first",
+                text="not checked: a device fails", mend="fix the device first",
             )  # fmt: skip
             return
         try:
@@ -136,7 +136,7 @@ def _show(finding: Finding) -> None:
 
 
 def _fix(found: Sequence[Finding], *, ask: bool, show: bool) -> list[str]:
-    """The checks whose mends have all been carried out."""
+    """The checks whose fixes have all been applied."""
     done = []
     for finding in found:
         if not finding.fixes:
@@ -156,4 +156,4 @@ def _sum_up(found: Sequence[Finding], failed: Sequence[Finding]) -> None:
     warned = sum(each.verdict == "warn" for each in found)
     click.echo(f"{len(found)} checks: {len(failed)} failed, {warned} warnings")
     if any(each.fixes for each in found):
-        click.echo("motord doctor --fix carries out the safe mends")
+        click.echo("motord doctor --fix applies the safe fixes")

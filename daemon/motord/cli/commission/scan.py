@@ -22,7 +22,7 @@ def _units(_context: click.Context, _option: click.Parameter, text: str) -> rang
     try:
         units = range(int(first), int(last or first) + 1)
     except ValueError:
-        raise click.BadParameter(f'"{text}" is no range of units, as 1-32 is') from None
+        raise click.BadParameter(f'"{text}" is not a range of units such as 1-32') from None
     if not units or units[0] < 0 or units[-1] > UNIT_MAX:
         raise click.BadParameter(f"units are 0 to {UNIT_MAX}")
     return units

@@ -56,8 +56,8 @@ def spin(
 
     The wheels have to be off the ground. The command asks what you saw, compares it with the
     encoders, finds swapped wheels, inverted and unplugged encoders, and offers to write what a
-    robot file can mend. Any key, Ctrl-C or the emergency stop brings the wheel to rest and disarms
-    the robot. The exit status is 1 if something is wrong and 0 if every wheel is right.
+    robot file can correct. Any key, Ctrl-C or the emergency stop brings the wheel to rest and
+    disarms the robot. The exit status is 1 if something is wrong and 0 if every wheel is right.
 
     A base moves as a whole, so some wheels cannot turn alone: a mecanum wheel turns twice, each
     time with another one, and is the wheel that turns both times. What cannot be turned is refused

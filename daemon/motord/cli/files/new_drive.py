@@ -110,7 +110,7 @@ def new_drive(path: Path, answers_file: Path | None) -> None:
     if path.suffix != ".toml":
         path = path.with_name(f"{path.name}.toml")
     if path.exists():
-        raise Failure(f"{path} is there already, and is left as it is", Exit.USAGE)
+        raise Failure(f"{path} is there already: name another file", Exit.USAGE)
     text = _filled(path.stem, _ask() if answers_file is None else _read(answers_file))
     try:
         with path.open("x", encoding="utf-8") as file:
@@ -120,7 +120,7 @@ def new_drive(path: Path, answers_file: Path | None) -> None:
         raise Failure(f"{path}: {error.strerror}", Exit.USAGE) from error
     except ProfileError as error:
         path.unlink()
-        raise Failure(f"these answers make no profile:\n{error}", Exit.USAGE) from None
+        raise Failure(f"these answers give no valid profile:\n{error}", Exit.USAGE) from None
     click.echo(f"{path}: written. Next: put in what is missing (faults, current, counter), then")
     click.echo(f"  motord drives --check {path}")
 

@@ -16,7 +16,7 @@ from motord.tools.ros2_msgs import PACKAGE, write_package
 def ros2_msgs(folder: Path) -> None:
     """Write the ROS 2 package motord_msgs into DIR, the src of a colcon workspace.
 
-    With it, ros2 topic echo shows motor_status, and ros2 action send_goal knows drive_distance. A
+    With it, ros2 topic echo shows motor_status, and ros2 action send_goal accepts drive_distance. A
     package that is there already is left as it is: remove it first.
 
     \b
@@ -25,9 +25,7 @@ def ros2_msgs(folder: Path) -> None:
     try:
         package = write_package(folder)
     except FileExistsError as error:
-        raise Failure(
-            f"{error.filename} is there already, and is left as it is", Exit.USAGE
-        ) from None
+        raise Failure(f"{error.filename} is there already: remove it first", Exit.USAGE) from None
     except OSError as error:
         raise Failure(f"{error.filename}: {error.strerror}") from error
     click.echo(f"{package}: written. Next, in the workspace:")

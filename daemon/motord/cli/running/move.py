@@ -88,7 +88,7 @@ def turn(client: Client, angle_rad: float, as_json: bool, **asked: float | None)
 
 
 def _given(asked: Mapping[str, float | None]) -> dict[str, float]:
-    """Without what was left to the robot."""
+    """The options that were given."""
     return {name: value for name, value in asked.items() if value is not None}
 
 

@@ -48,7 +48,7 @@ def owner_option(usual: str) -> Callable[[Any], Any]:
 
 
 def talking(command: Callable[..., None]) -> Callable[..., None]:
-    """Gives the command a connected client, and says in a sentence what goes wrong."""
+    """Gives the command a connected client, and reports an error in one sentence."""
 
     @robot_option
     @socket_option
@@ -69,8 +69,8 @@ def talking(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def located(command: Callable[..., None]) -> Callable[..., None]:
-    """As `talking`, for a command that makes its own connections: it gets the daemon's socket. One
-    that stops the robot needs none, for others may leave none."""
+    """As `talking`, for a command that makes its own connections: it gets the daemon's socket. A
+    command that stops the robot needs no connection: other programs may occupy all of them."""
 
     @robot_option
     @socket_option
@@ -87,7 +87,7 @@ def located(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def status_of_refusal(client: Client) -> Exit:
-    """Refused because of what the robot is in, or because of how it was asked?"""
+    """Whether a latched fault or emergency stop is the reason, or the request itself."""
     return Exit.FAULT if client.status()["state"] in _HINDERED else Exit.FAILED
 
 
@@ -200,7 +200,7 @@ def estop(robot: str | None, path: Path | None, as_json: bool) -> None:
         sockets = [path] if path else find_sockets(robot)
     except ClientError as error:
         raise Failure(str(error)) from error
-    for socket in sockets:  # one that does not answer keeps no other from being stopped
+    for socket in sockets:  # the others are stopped, too, where one does not answer
         try:
             states[socket.name.removesuffix(".sock")] = halt(socket, "estop")
         except ClientError as error:

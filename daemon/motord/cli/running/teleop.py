@@ -27,22 +27,22 @@ USUAL_M_S, USUAL_RAD_S = 0.5, 1.0
 @click.option("--angular-rad-s", type=POSITIVE, help="Full turn rate. Default: the robot's limit.")
 @usual_option(
     "--hold-s", click.FloatRange(0.05, 1.0), 0.2,
-    "The robot stops so long after the last repeat of a key.",
+    "The robot stops this long after the last key repeat.",
 )  # fmt: skip
 @usual_option(
     "--first-s",
     click.FloatRange(0.05, 1.0),
     0.6,
-    "The first press moves the robot so long: the delay until your terminal repeats it.",
+    "The first press moves the robot this long: the delay until your terminal repeats it.",
 )
 @click.option(
     "--gamepad",
     metavar="DEVICE",
-    help="A gamepad at this machine, too: its file, or a part of its name.",
+    help="Drive with this gamepad, too: its device file, or a part of its name.",
 )
 @click.option(
     "--dead-man", metavar="BTN", default="BTN_TL", show_default=True,
-    help="The gamepad's button to be held.",
+    help="The gamepad's dead-man button: hold it to drive.",
 )  # fmt: skip
 @click.option("--estop-button", metavar="BTN", help="The gamepad's button for an emergency stop.")
 @located

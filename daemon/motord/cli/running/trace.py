@@ -27,13 +27,13 @@ _FILE = click.Path(path_type=Path, dir_okay=False)
 
 @click.command
 @click.argument("line", required=False, shell_complete=line_names)
-@click.option("--count", type=click.IntRange(1), help="End after so many exchanges.")
+@click.option("--count", type=click.IntRange(1), help="End after this many exchanges.")
 @click.option("--pcap", metavar="FILE", type=_FILE, help="Modbus: a file for Wireshark.")
 @click.option("--candump", metavar="FILE", type=_FILE, help="CAN: a file as candump -L writes it.")
 @click.option("--mcap", metavar="FILE", type=_FILE, help="An MCAP file, for Foxglove.")
 @click.option(
     "--file", "robot_file", metavar="ROBOT.toml", type=click.Path(path_type=Path),
-    help="Robot file to decode by. Default: the one that the daemon runs by.",
+    help="Robot file to decode by. Default: the one that the daemon uses.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for each exchange.")
 @talking

@@ -32,7 +32,7 @@ HOLD_S, STEADY_S = 2.5, 0.8
 STANDS_RAD_S = 0.1
 POINTS_MIN = 4
 MISFIT_MAX = 0.05
-"""Root mean square of the residuals, of the greatest speed: more is no line."""
+"""Root mean square of the residuals, as a part of the greatest speed: more is not a line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +73,8 @@ def fit_duty(name: str, points: Sequence[Point]) -> DutyFit:
     misfit = math.sqrt(float(residuals @ residuals) / (len(moving) - 2))
     if slope <= 0.0 or misfit > MISFIT_MAX * float(np.max(speed)):
         raise Failed(
-            f"{name}: its speeds are no line over the duty (off by {misfit:.2f} rad/s): a slope "
-            "of the floor, a slipping wheel, or a sagging battery: repeat on level ground"
+            f"{name}: its speed does not rise evenly with the duty (off by {misfit:.2f} rad/s): "
+            "the floor slopes, a wheel slips, or the battery sags: repeat on level ground"
         )
     dead_band = -offset / slope
     if not 0.0 <= dead_band < 0.9:
@@ -187,7 +187,7 @@ def _slope(places: Mapping[float, float]) -> float:
 
 
 def _fed_s(snapshot: Snapshot, index: int) -> float:
-    """When what a wheel's position is of was received."""
+    """When the feedback that holds a wheel's position was received."""
     return snapshot.stamp_ns * 1e-9 - snapshot.joints[index].feedback_age_s
 
 

@@ -17,7 +17,7 @@ from motord.config.sections.joint.speed_loop import CoreGain, SpeedLoop
 from motord.config.sections.joint.wheels import gains_of, takes_duty
 
 FASTEST = 4
-"""So many of the runs are looked at: slow ones are mostly friction."""
+"""How many of the runs are used: slow ones are mostly friction."""
 
 
 def plants_of(robot: Robot, runs: Sequence[tuple[Snapshot, ...]]) -> dict[str, Plant]:

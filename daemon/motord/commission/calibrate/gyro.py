@@ -65,12 +65,12 @@ def measure_gyro(
         before_rad = after_rad
     scale = sum(scales) / len(scales)
     if not SCALE_MIN <= scale <= SCALE_MAX:
-        raise Failed(f"a scale of {scale:.3f} is no error of a gyro: was the mark the right one?")
+        raise Failed(f"a scale of {scale:.3f} is too far from 1 for a gyro: check the mark, repeat")
     return GyroFound(bias_rad_s=bias_rad_s, scale=scale, difference=abs(scales[0] - scales[1]))
 
 
 def gyro_changes(found: GyroFound) -> dict[KeyPath, Any]:
-    """The offset is measured anew at each rest, and the robot file has no scale; it has the
+    """The offset is measured again at each rest, and the robot file has no scale; it has the
     variance that the scale's error causes: (error · 2π)² for a turn of 2π."""
     variance = (found.scale - 1.0) ** 2 * math.tau
     key = ("imu", "turn_variance_rad2_per_rad")

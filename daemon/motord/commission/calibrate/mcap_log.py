@@ -56,7 +56,7 @@ def _joined(
     inside = (joints[:, 0] >= poses[0, 0]) & (joints[:, 0] <= poses[-1, 0])
     joints = joints[inside]
     if len(joints) < 2:
-        raise Failed(f"{path}: poses and joint states are not of the same time: one clock?")
+        raise Failed(f"{path}: poses and joint states do not overlap in time: use one clock")
     heading_rad = np.unwrap(poses[:, 3])
     columns = [
         np.interp(joints[:, 0], poses[:, 0], part) for part in (*poses[:, 1:3].T, heading_rad)

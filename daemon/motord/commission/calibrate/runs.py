@@ -28,8 +28,8 @@ _MARK = "of the mark that you made at the start"
 
 @dataclass(slots=True)
 class Recorder:
-    """What each side's wheels roll, by the radii that the daemon runs by. Of a base without two
-    sides: how far the odometry has it ahead, twice."""
+    """How far each side's wheels roll, by the radii that the daemon uses. Of a base without two
+    sides: how far it has moved ahead by the odometry, twice."""
 
     robot: dict[str, Any]
     _left_m: list[float] = field(default_factory=list)

@@ -76,7 +76,7 @@ class PagePerson:
     def text(self, question: str, default: str) -> str:
         def line(value: object) -> str:
             if not isinstance(value, str) or len(value) > _TEXT_MAX or not value.isprintable():
-                raise ValueError("no line of text")
+                raise ValueError("not a line of text")
             return value.strip() or default
 
         return self._ask(question, {"kind": "text", "default": default}, line)
@@ -84,9 +84,9 @@ class PagePerson:
     def number(self, question: str, unit: str, low: float, high: float) -> float:
         def finite(value: object) -> float:
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise ValueError("no number")
+                raise ValueError("not a number")
             if not low <= value <= high:
-                raise ValueError(f"no number of {low:g} to {high:g} {unit}")
+                raise ValueError(f"not a number from {low:g} to {high:g} {unit}")
             return float(value)
 
         about = {"kind": "number", "unit": unit, "low": low, "high": high}

@@ -22,7 +22,7 @@ WHEELS_OF_OMNI = (3, 8)
 ENDS = ("front", "rear")
 PLACES = ("front-left", "front-right", "rear-left", "rear-right")
 SKID_SLIP_FACTOR = 1.5
-"""To begin with; wheels that scrub turn less than their track says."""
+"""A value to begin with: a base whose wheels scrub turns less than its track suggests."""
 
 
 def base_of(person: Person, given: Given) -> dict[str, Any]:
@@ -144,7 +144,7 @@ def unit_and_channel(text: str) -> tuple[int, int]:
     """`1.2`, or `1` for the first channel. Raises Failed."""
     unit, _, channel = text.partition(".")
     if not unit.isascii() or not unit.isdigit() or not (channel or "1").isdigit():
-        raise Failed(f'"{text}" is no unit and channel, as 1.2')
+        raise Failed(f'"{text}" is not a unit and channel, as 1.2')
     return int(unit), int(channel or 1)
 
 

@@ -16,7 +16,7 @@ ARPHRD_CAN = "280"
 FD_BITRATE = 5_000_000
 """What CAN FD transceivers of drives carry."""
 USUAL_BITRATE = 500_000
-"""Of CAN, where the adapter does not say."""
+"""Of CAN, where the adapter does not report it."""
 CANFD_MTU = "72"
 """Linux: include/uapi/linux/can.h."""
 BOARD_PORTS = ("ttyAMA*", "ttyTHS*", "ttymxc*", "serial[0-9]*")
@@ -69,8 +69,8 @@ def can_address(name: str) -> str:
 
 
 def interface_bit_rate(address: str) -> int | None:
-    """Bits a second that the kernel's interface is set to; None: it does not say, or there is no
-    such interface."""
+    """Bits a second that the kernel's interface is set to; None: it does not report it, or there is
+    no such interface."""
     interface, _, channel = address.partition(":")
     if interface != "socketcan":
         return None

@@ -87,7 +87,7 @@ def _text(answers: Answers, cycle_hz: float) -> str:
         "# When the robot stops by itself.",
         "[safety]",
         "command_timeout_s = 0.3      # an older command is ignored",
-        f"feedback_timeout_s = {max(0.25, three_s):g}      # no feedback for so long is a fault",
+        f"feedback_timeout_s = {max(0.25, three_s):g}      # no feedback for this long is a fault",
         f"drive_watchdog_s = {max(0.5, three_s):g}      # the drives stop when motord is gone",
         "",
         *_line("main", answers.line, cycle_hz),
@@ -101,7 +101,7 @@ def _line(name: str, keys: Mapping[str, Any], cycle_hz: float) -> list[str]:
     return [
         f"[line.{name}]",
         *(f"{key} = {json.dumps(value)}" for key, value in keys.items()),
-        f"cycle_hz = {cycle_hz:g}      # set-points and feedback, so often a second",
+        f"cycle_hz = {cycle_hz:g}      # cycles of set-points and feedback a second",
         "",
     ]
 

@@ -129,7 +129,7 @@ def _encoder(robot: Robot, turned: Turned, found: Findings) -> None:
         found.texts.append(f"{name}: its encoder counts against its motor: reversed is changed")
     elif own_rad < 0.0:
         found.texts.append(
-            f"{name}: its encoder counts against its motor. No key of the robot file mends that, "
+            f"{name}: its encoder counts against its motor. No key of the robot file fixes that, "
             "for the drive itself needs both alike: swap A and B of the encoder, or set the "
             "drive's encoder direction with its maker's tool"
         )
@@ -214,7 +214,7 @@ def _wheels(robot: Robot, turns: Sequence[Turned], found: Findings) -> None:
 
 
 def _counted(turned: Turned) -> bool:
-    """Its own encoder, or nothing that could have."""
+    """Whether its own encoder counted, or measures no position."""
     own_rad = turned.counted_rad[turned.joint]
     return not abs(own_rad) < TURNED_RAD
 

@@ -121,7 +121,8 @@ def require_only(faults: Iterable[str], session: Session, held: Held) -> None:
 
 
 def rim_within_limits(session: Session, twist: tuple[float, float, float], rim_m_s: float) -> float:
-    """So many times this twist (linear, lateral, angular) keeps the limits of the base."""
+    """The greatest multiple of this twist (linear, lateral, angular) within the limits of the
+    base."""
     names = ("limits.linear_m_s", "limits.lateral_m_s", "limits.angular_rad_s")
     strafes = session.robot["strafes"]
     limits = session.client.params_get(*(n for n in names if strafes or "lateral" not in n))

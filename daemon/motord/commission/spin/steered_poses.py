@@ -2,8 +2,8 @@
 """Twists that point the steered wheels of a base to where a person can judge them. Pure.
 
 Steered wheels cannot be pointed one by one, for a base moves by twists alone. In a few poses each
-wheel points to the left, straight ahead or to the right by a pattern of its own: who sees another
-wheel's pattern sees two that are swapped, and the opposite of its own is an inverted one.
+wheel points to the left, straight ahead or to the right by a pattern of its own: a wheel that shows
+another one's pattern is swapped with it, and one that shows the opposite of its own is inverted.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ Hägglund, Advanced PID Control, 2006, 2.7): of the first order, with friction. 
 those for which the simulated speed differs least from the measured one (output error, Ljung, System
 Identification, 1999, 3.2 and 10.2: damped Gauss-Newton), so that a coarse encoder makes no bias.
 Under a torque a wheel is nearly an integrator: what was not seen of it would count for the rest of
-the run. So the simulation begins anew, with the measured speed, behind each gap.
+the run. So the simulation starts again, with the measured speed, after each gap.
 
 Gains: Skogestad, Simple analytic rules for model reduction and PID controller tuning, Journal of
 Process Control 13, 2003 (SIMC), a PI: gain = time constant / (steady gain · (τc + dead time)),
@@ -39,16 +39,16 @@ STEP_S = 0.002
 DEAD_TIMES_S = tuple(0.01 * n for n in range(16))
 ROUNDS = 25
 MISFIT_MAX = 0.12
-"""Root mean square of the residuals, of the greatest speed: more is no such wheel."""
+"""Root mean square of the residuals, as a part of the greatest speed: more fits no such wheel."""
 TURNED_PART = 0.2
 POINTS_MIN = 30
 GAP_S, GAP_SAMPLES = 0.05, 3.0
-"""Longer without a look, or so many times longer than usual without a measure: something was held
-up, and what the wheel got meanwhile is unknown."""
+"""A gap is a longer time without a look, or so many usual times without a measure: a program was
+held up, and what the wheel got meanwhile is unknown."""
 AFTER_GAP_S = 0.05
-"""What the wheel does so long behind a gap may still follow from it: a dead time."""
+"""For so long after a gap, the wheel may still act on what it got in it: a dead time."""
 PIECE_S = 0.1
-"""Of shorter pieces the speed at the beginning is most of what they say."""
+"""Shorter pieces show little more than the speed at their beginning."""
 BEGIN_POINTS = 5
 SEEN_PART_MIN = 0.3
 """Of the time of all runs: less determines no wheel."""
@@ -196,7 +196,7 @@ def seen_part(runs: Sequence[Run]) -> float:
 
 
 def _seen(run: Run) -> npt.NDArray[np.bool_]:
-    """Which measures are of no gap; all, where nothing is."""
+    """Which measures lie in no gap; all, where every one lies in a gap."""
     seen = np.zeros(len(run.measured_s), dtype=bool)
     for piece in _pieces(run):
         first_s, last_s = piece.run.measured_s[[0, -1]]

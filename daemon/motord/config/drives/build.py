@@ -50,7 +50,7 @@ _SAYS_ITS_FRAMES = ("modbus-rtu", "roboclaw")
 
 
 def build(file: DriveFile, path: Path, problems: Problems) -> DriveProfile:
-    """The profile. What its protocol wants and is not there is a problem; something harmless takes
+    """The profile. What its protocol needs and the file lacks is a problem; a harmless value takes
     its place."""
     return DriveProfile(
         name=file.name,

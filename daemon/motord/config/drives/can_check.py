@@ -36,7 +36,7 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
     for name in table.frames:
         _check_overlaps(name, signals_of(profile.registers, name), problems)
     if table.hello and "r" not in getattr(profile.registers.get(table.hello), "access", ""):
-        problems.add("can.hello", f'"{table.hello}" is no signal that can be read')
+        problems.add("can.hello", f'"{table.hello}" is not a signal that can be read')
     sync = table.frames.get(table.sync)
     if sync and (sync.sender is not Sender.MOTORD or sync.addressed):
         problems.add("can.sync", f'"{sync.name}" must be sent by motord, with addressed = false')
@@ -78,14 +78,14 @@ def _check_frame(table: CanTable, frame: Frame, problems: Problems) -> None:
     if frame.ask == "rtr" and frame.fd:
         problems.add(f"{key}.ask", "CAN FD has no remote frames (ISO 11898-1, 8.4.2.5)")
     if frame.silence_s and frame.silence_s < 2 * frame.period_s:
-        problems.add(f"{key}.silence_s", "is shorter than two periods: one lost frame would do")
+        problems.add(f"{key}.silence_s", "is shorter than two periods: allow one lost frame")
 
 
 def _check_asking(table: CanTable, frame: Frame, key: str, name: str, problems: Problems) -> None:
     asking = table.frames.get(name)
     if asking is None or asking.sender is not Sender.MOTORD:
         hint = did_you_mean(name, table.frames)
-        problem = f'"{name}" is no frame that motord sends{hint}'
+        problem = f'"{name}" is not a frame that motord sends{hint}'
         problems.add(f"frame.{frame.name}.{key}", problem)
 
 
@@ -128,7 +128,7 @@ def _check_object(profile: DriveProfile, signal: Signal, problems: Problems) -> 
     key, found = f"signal.{signal.name}.object", profile.registers.get(signal.object)
     if found is None or "r" not in found.access:
         hint = did_you_mean(signal.object, profile.registers)
-        problems.add(key, f'"{signal.object}" is nothing that can be read{hint}')
+        problems.add(key, f'"{signal.object}" cannot be read{hint}')
     elif (found.type, found.scale, found.unit) != (signal.type, signal.scale, signal.unit):
         problems.add(key, f"{signal.object} has another type, scale or unit than {signal.name}")
 
@@ -142,8 +142,8 @@ def _check_overlaps(frame: str, signals: tuple[Signal, ...], problems: Problems)
 
 
 def _check_presence(profile: DriveProfile, table: CanTable, problems: Problems) -> None:
-    """What the wheel is judged by must come by itself or on demand, and be missed when it does
-    not."""
+    """The feedback that a wheel is judged by must come by itself or on request, and its absence
+    must be noticed."""
     if not any(frame.silence_s for frame in table.frames.values()):
         problems.add("frame", "no frame has a silence_s: nothing shows that the drive is there")
     wanted = [profile.enabled.register] if profile.enabled else []

@@ -84,7 +84,7 @@ class CanFrame(Section):
     """The frame of motord's that it answers each time."""
     period_s: float | None = number("how often the drive sends it unasked", 0.0005, 60.0, "s", None)
     silence_s: float | None = number(
-        "without it for so long, the drive is unresponsive", 0.001, 60.0, "s", None
+        "without it for this long, the drive is unresponsive", 0.001, 60.0, "s", None
     )
     addressed: bool = True
     """Its identifier holds the node number."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between the parts of a drive profile, so that the line can trust it blindly."""
+"""What must hold between the parts of a drive profile, so that the line need not check it."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ def _check_board_place(key: str, register: Register, problems: Problems) -> None
     place = set(range(register.address, register.address + register.type.bits // 8))
     for access in register.access:
         if place & _BOARD_OWN[access] or max(place) >= _BOARD_BYTES[access]:
-            problems.add(f"{key}.address", f"{register.address} is no place for a register")
+            problems.add(f"{key}.address", f"{register.address} is not a valid register address")
             return
 
 
@@ -182,14 +182,14 @@ def _check_packet_place(key: str, register: Register, problems: Problems) -> Non
     if register.type.bits != 16:
         problems.add(f"{key}.type", f"{register.type.value}: packets consist of words of 16 bits")
     if register.address % 2 or register.address + 2 > _HOVERBOARD_BYTES[register.access]:
-        problems.add(f"{key}.address", f"{register.address} is no place for a register")
+        problems.add(f"{key}.address", f"{register.address} is not a valid register address")
 
 
 def _check_sabertooth_place(key: str, register: Register, problems: Problems) -> None:
     if register.access != "w":
         problems.add(f"{key}.access", 'must be "w": a Sabertooth sends nothing')
     if (kind := _SABERTOOTH_TYPES.get(register.address)) is None:
-        problems.add(f"{key}.address", f"{register.address} is no place for a register")
+        problems.add(f"{key}.address", f"{register.address} is not a valid register address")
     elif register.type.value != kind:
         problems.add(f"{key}.type", f"{register.type.value}: must be {kind} at this address")
 
@@ -232,7 +232,7 @@ def _reference(
 ) -> Register | None:
     """The register that a key names, if it is there and may be used like that."""
     if not name:
-        return None  # the reader has complained
+        return None  # the reader has reported it
     register = profile.registers.get(name)
     if register is None:
         problems.add(key, f'no register "{name}"{did_you_mean(name, profile.registers)}')
@@ -329,7 +329,7 @@ def _check_setpoint(
 def _check_together(
     profile: DriveProfile, key: str, setpoint: Register, channel: Channel, problems: Problems
 ) -> None:
-    """One request carries them all: the drive never obeys half of it."""
+    """One request carries them all: the drive never acts on half of it."""
     if not channel.setpoint_with:
         return
     words = set(range(setpoint.address, setpoint.address + setpoint.type.words))

@@ -124,7 +124,7 @@ class _Reader:
         names = [node.name for node in found.nodes]
         if self._drive not in names:
             hint = did_you_mean(self._drive, names) or f"; it has {', '.join(names) or 'none'}"
-            self.problems.add("dbc.drive", f'"{self._drive}" is no node of {self._file}{hint}')
+            self.problems.add("dbc.drive", f'"{self._drive}" is not a node of {self._file}{hint}')
         return {message.name: message for message in found.messages}
 
     def _complain(self, line: int, what: str, problem: str) -> None:
@@ -205,7 +205,7 @@ class _Reader:
         message = self._named.get(frame)
         if message is None:
             if self.loaded:
-                self.problems.add(f"{key}.frame", f'"{frame}" is no frame of the DBC file')
+                self.problems.add(f"{key}.frame", f'"{frame}" is not a frame of the DBC file')
             return given
         signals = {one.name: one for one in message.signals}
         signal = signals.get(self._known(key, table.dbc, signals))

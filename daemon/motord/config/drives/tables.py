@@ -69,7 +69,7 @@ class SerialWire(Section):
     read_write_function: Annotated[Literal[23], WHOLE] | None = None
     """23 where the drive reads and writes in one exchange."""
     broadcast_stop: bool = False
-    """The drive obeys writes to unit 0: one frame stops all drives of the line."""
+    """The drive accepts writes to unit 0: one frame stops all drives of the line."""
 
 
 class Motor(Section):

@@ -100,7 +100,7 @@ def _corners(robot: Robot) -> Iterator[Finding]:
 
 
 def _can_move(robot: Robot) -> Iterator[Finding]:
-    """The wheels determine the motion: else some of it is no wheel's, and nothing brakes it."""
+    """The wheels determine the motion: no wheel could brake a motion in which none turns."""
     base, joints = robot.base, robot.joint
     if (
         isinstance(base, SteeredBase)
@@ -119,9 +119,9 @@ def _can_move(robot: Robot) -> Iterator[Finding]:
     determinant = xx * (yy * ww - yw * yw) - xy * (xy * ww - yw * xw) + xw * (xy * yw - yy * xw)
     size_m = math.hypot(base.track_m, getattr(base, "wheelbase_m", 0.0)) / 2.0
     if math.sqrt(ww / len(rows)) < _LEVER_LEAST * size_m:
-        why = "nothing turns this base about: the rolling directions all go through its middle"
+        why = "no wheel can turn this base: all rolling directions go through its middle"
         if isinstance(base, MecanumBase):
-            why = 'nothing turns this base about: its rollers have to form an X (rollers = "x")'
+            why = 'no wheel can turn this base: its rollers have to form an X (rollers = "x")'
         yield Finding(at, why)
     elif not determinant > _DETERMINED_LEAST * xx * yy * ww:
         text = "the wheels do not determine how the base moves: too many roll in one direction"
@@ -135,7 +135,7 @@ def _slip_factor(robot: Robot) -> Iterator[Finding]:
 
 
 def _geometry(robot: Robot) -> Iterator[Finding]:
-    """A base of another size than it is drives at another speed than its set-point."""
+    """A base with a wrong size in its file drives at another speed than its set-point."""
     base = robot.base
     if isinstance(base, JointsBase):
         return
@@ -147,13 +147,13 @@ def _geometry(robot: Robot) -> Iterator[Finding]:
     ]
     for path, radius_m in radii:
         if radius_m > _WHEEL_RADIUS_USUAL_M:
-            text = f"{radius_m:g} m is a wheel of {2 * radius_m:.3g} m across: is that so?"
+            text = f"{radius_m:g} m is a wheel of {2 * radius_m:.3g} m across: is this right?"
             yield Finding((path,), text, warning=True)
     if isinstance(base, OmniBase):
         return
     track: Path = ("base", "track_m")
     if base.track_m > _TRACK_USUAL_M:
-        text = f"{base.track_m:g} m between left and right wheels: is that so?"
+        text = f"{base.track_m:g} m between left and right wheels: is this right?"
         yield Finding((track,), text, warning=True)
     elif base.track_m < min(radius_m for _, radius_m in radii):
         text = (

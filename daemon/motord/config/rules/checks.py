@@ -80,5 +80,5 @@ def _address(name: str, joint: Joint, profile: DriveProfile) -> Iterator[Finding
     if profile.can is not None:
         low, high = profile.can.node_min, profile.can.node_max
     if not low <= joint.unit <= high:
-        text = f'{joint.unit} is no address of drive "{joint.drive}" ({low} to {high})'
+        text = f'{joint.unit} is not an address of drive "{joint.drive}" ({low} to {high})'
         yield Finding((("joint", name, "unit"), ("joint", name, "drive")), text)

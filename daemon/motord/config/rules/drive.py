@@ -91,7 +91,7 @@ def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
         same_drive = (first.line, first.unit) == (second.line, second.unit)
         if sides[0] == sides[1]:
             if first.drive == second.drive and first.inverted != second.inverted:
-                text = f"joint {one} on the same side is {_turned(first)}: do they work together?"
+                text = f"joint {one} on the same side is {_turned(first)}: do both turn alike?"
                 yield Finding(paths, text, warning=True)
         elif same_drive and first.inverted == second.inverted:
             text = (
@@ -192,7 +192,7 @@ def _resolution(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             f"a count is {travel_mm:.3g} mm of travel: counts are of a motor turn (four for each "
             f"pulse of an encoder), and the motor turns {joint.gear_ratio:g} times for a wheel turn"
         )
-        yield Finding(on, f"{text}: is that so?", warning=True)
+        yield Finding(on, f"{text}: is this right?", warning=True)
 
 
 def _edges(robot: Robot, profiles: Profiles) -> Iterator[Finding]:

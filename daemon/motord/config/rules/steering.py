@@ -33,7 +33,7 @@ def _at(joints: tuple[str, ...], key: str = "place") -> tuple[Path, ...]:
 
 
 def _keys(robot: Robot) -> Iterator[Finding]:
-    """A joint that steers has a range, and another one has not."""
+    """A joint that steers has a range of angles, and no other joint has."""
     for name, joint in robot.joint.items():
         if not joint.steers:
             for key in () if isinstance(robot.base, JointsBase) else _KEYS:
@@ -138,7 +138,7 @@ def _swerve(robot: Robot) -> Iterator[Finding]:
 
 def _range_rad(joint: Joint) -> float:
     if joint.position_min_rad is None or joint.position_max_rad is None:
-        return math.inf  # that is missing is another finding
+        return math.inf  # another rule reports that it is missing
     return joint.position_max_rad - joint.position_min_rad
 
 

@@ -34,7 +34,7 @@ class Battery(Section):
         "s",
         3.0,
     )
-    silent_s: float = number("unknown when nothing was measured for so long", 0.5, 600, "s", 5.0)
+    silent_s: float = number("unknown when nothing was measured for this long", 0.5, 600, "s", 5.0)
     cells: int | None = number("cells in series, where motord is to publish it", 1, 200, "1", None)
     capacity_ah: float | None = number("what it holds when it is new", 0.01, 10000, "Ah", None)
 
@@ -44,8 +44,8 @@ Reading = Annotated[str, Field(pattern=r"^[^.\s]+\.[^.\s]+$")]
 
 
 class DrivesBattery(Battery):
-    """The supply voltage that the drives measure: the lowest one of those that respond; and what
-    registers of theirs, or fields of a board, say of the pack itself."""
+    """The lowest supply voltage among the drives that respond, and what their registers, or fields
+    of a board, report about the pack itself."""
 
     source: Literal["drives"]
     joints: tuple[str, ...] = Field(default=(), strict=False)

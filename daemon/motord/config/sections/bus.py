@@ -78,14 +78,14 @@ class BusInput(Section):
     """Which inputs may command by the second process."""
 
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
-    lease_s: float = number("a command lives so long, and no longer", 0.02, 5, "s", 0.3)
+    lease_s: float = number("lifetime of a command", 0.02, 5, "s", 0.3)
     rate_max_hz: float | None = number(
         "commands that come more often are refused, but for zero", 1, 10000, "Hz", None
     )
 
 
 class StampedInput(BusInput):
-    """Commands that say when they were given."""
+    """Commands with a stamp."""
 
     stamped: bool = True
     """Every command has to say when it was given, so that one that waited somewhere is known by its
@@ -163,7 +163,7 @@ class McapPublish(BusPublish):
     mode: Literal["all", "fault", "manual"] = "all"
     """Record all; or keep the newest in memory and write it when a fault is latched; or record only
     from start to stop on the dashboard."""
-    file_s: float = number("a new file after so long (not in mode fault)", 1, 86400, "s", 600.0)
+    file_s: float = number("a new file after this time (not in mode fault)", 1, 86400, "s", 600.0)
     before_s: float = number("what a fault's file holds from before it", 1, 600, "s", 60.0)
     after_s: float = number("what a fault's file holds from after it", 0, 60, "s", 5.0)
     total_max_mb: int = number(
@@ -200,8 +200,8 @@ class FoxglovePublish(FoxgloveServer):
 
 
 class FoxgloveInput(TokenInput, FoxgloveServer):
-    """A WebSocket to which Foxglove connects: it publishes to every client, and obeys those with
-    the token to its service authorize, or in the command itself."""
+    """A WebSocket to which Foxglove connects: it publishes to every client, and takes commands from
+    those that give the token to its service authorize or in the command itself."""
 
     kind: Literal["foxglove"]
 
@@ -219,7 +219,7 @@ class RosbridgePublish(RosbridgeServer):
 
 
 class RosbridgeInput(TokenInput, RosbridgeServer):
-    """A rosbridge that sends, and obeys clients that connect with the token:
+    """A rosbridge that sends, and takes commands from clients that connect with the token:
     ws://HOST:PORT/?token=..."""
 
     kind: Literal["rosbridge"]
@@ -259,10 +259,12 @@ class WebPublish(WebServer, Publish):
 
 
 class WebInput(WebServer, BusInput):
-    """A dashboard that shows the robot, and obeys pages that have shown the token."""
+    """A dashboard that shows the robot, and takes commands from pages that have shown the token."""
 
     kind: Literal["web"]
-    lease_s: float = number("a pad that sends nothing for so long is released", 0.1, 0.3, "s", 0.3)
+    lease_s: float = number(
+        "a pad that sends nothing for this long is released", 0.1, 0.3, "s", 0.3
+    )
     trust_loopback: bool = False
     """Pages of this machine may command without a token: every user of it may. Set it to confirm
     that this is meant."""
@@ -296,7 +298,7 @@ RosName = Annotated[str, Field(pattern=_ROS_NAME, max_length=200)]
 
 
 class RosNode(Section):
-    """Which node we are. Sections that say the same are one node."""
+    """The ROS 2 node. Sections with the same settings are one node."""
 
     domain_id: int = number("ROS_DOMAIN_ID of the nodes that are to see motord", 0, 232, "1", 0)
     namespace: str = Field(default="/", pattern=r"^/([A-Za-z]\w*(/[A-Za-z]\w*)*)?$")
@@ -390,7 +392,7 @@ class Ros2Input(StampedInput, Ros2Node):
 
 
 class ZenohInput(StampedInput, ZenohNode):
-    """As kind ros2, from ROS 2 nodes on Zenoh; also their services reach us."""
+    """As kind ros2, from ROS 2 nodes on Zenoh, whose service calls reach motord, too."""
 
     kind: Literal["ros2-zenoh"]
     trust_router: bool = False

@@ -213,7 +213,7 @@ class AsciiLine(PortLine):
     feedback: str | None = None
     """Text of the board's feedback, as "{left_count},{right_count}" with fields JOINT_count,
     JOINT_rad_s, JOINT_m_s, JOINT_m, JOINT_current_a and voltage_v; a JSON object is read by the
-    names of its members; none: the board says nothing."""
+    names of its members; none: the board sends nothing."""
     feedback_scale: dict[str, Annotated[float, Field(gt=0, le=1e9)]] = Field(default_factory=dict)
     """Field of the feedback: its number for 1 of its unit, as voltage_v = 100 where 11.5 V are sent
     as 1150."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file as values. What one value alone can say is checked here, what follows only from
-several together in `checks.py`.
+"""The robot file as values. Rules for one value alone are here, rules for several values together
+in `rules`.
 
 Every number has a unit in its name, a range, and its unit as data in the JSON Schema. Defaults are
 on the slow and careful side.
@@ -84,13 +84,13 @@ class Safety(Section):
 
     command_timeout_s: float = number("an older command is ignored", 0.02, 5, "s", 0.3)
     feedback_timeout_s: float = number(
-        "no feedback of a wheel for so long is a fault", 0.005, 5, "s", 0.25
+        "no feedback of a wheel for this long is a fault", 0.005, 5, "s", 0.25
     )
     heartbeat_timeout_s: float = number(
-        "the loop stops the robot when the daemon has hung for so long", 0.05, 5, "s", 0.5
+        "the loop stops the robot when the daemon has hung for this long", 0.05, 5, "s", 0.5
     )
     drive_watchdog_s: float = number(
-        "the drives stop by themselves when they have received nothing for so long",
+        "the drives stop by themselves when they have received nothing for this long",
         0.01,
         10,
         "s",
@@ -308,9 +308,7 @@ class SocketInput(Section):
     enabled: bool = True
     """Whether the local socket may move the robot. Stop, e-stop and disarm work all the same."""
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
-    lease_s: float = number(
-        "a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3
-    )
+    lease_s: float = number("lifetime of a command that gives none", 0.02, 5, "s", 0.3)
 
 
 class RtInput(Section):
@@ -318,9 +316,7 @@ class RtInput(Section):
 
     kind: Literal["rt"]
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
-    lease_s: float = number(
-        "a command without a lifetime of its own lives so long", 0.02, 5, "s", 0.3
-    )
+    lease_s: float = number("lifetime of a command that gives none", 0.02, 5, "s", 0.3)
     rate_max_hz: float | None = number(
         "commands that come more often are refused, but for zero", 1, 10000, "Hz", None
     )

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys that are right but for their unit, or that say a diameter where a radius is asked for: the
-key that is meant, and what its value becomes. A rename alone would change the robot's size."""
+"""Keys that are right but for their unit, or that give a diameter where a radius is needed: the key
+that is meant, and what its value becomes. A rename alone would change the robot's size."""
 
 from __future__ import annotations
 

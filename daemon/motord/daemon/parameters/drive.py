@@ -50,7 +50,7 @@ def _about(joint: JointSpec, register: Register) -> dict[str, Any]:
 
 
 async def values(lines: Iterable[Line], names: Iterable[str]) -> dict[str, float | None]:
-    """By name, as the drives say now; None: no number. Raises RpcError."""
+    """By name, as the drives report them now; None: no number. Raises RpcError."""
     found = {name: _place(lines, name) for name in names}
     return {name: json_number(await _read(*place)) for name, place in found.items()}
 

@@ -156,7 +156,7 @@ def _functions(root: Root, where: str, pins: Collection[str]) -> Iterator[Findin
     for pin in sorted(set(pins)):
         number = re.fullmatch(r"GPIO(\d+)", pin)
         if number and (owner := mux_owner("", int(number[1]), debug)):
-            text = f"{pin} belongs to {owner}: it does not obey as a GPIO line"
+            text = f"{pin} belongs to {owner}: it does not work as a GPIO line"
             yield _device(f"{where} {pin}", "fail", text, freeing_step(owner, tree))
 
 

@@ -16,7 +16,7 @@ FIX_WITHIN_S = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Write:
-    """A mend that writes one value into one file of the kernel; it lasts until the next start."""
+    """A fix that writes one value into one file of the kernel; it lasts until the next start."""
 
     path: Path
     value: str
@@ -35,7 +35,7 @@ class Write:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """A mend that runs one command."""
+    """A fix that runs one command."""
 
     words: tuple[str, ...]
 
@@ -70,7 +70,7 @@ class Finding:
     mend: str = ""
     """A command or a setting."""
     fixes: tuple[Fix, ...] = ()
-    """Safe mends: they move nothing, and what they change has no other user."""
+    """Safe fixes: they move nothing, and what they change has no other user."""
 
     def to_json(self) -> dict[str, Any]:
         """Ready for JSON."""
@@ -109,7 +109,7 @@ class Root:
         return found.strip("\0 \n\t")
 
     def number(self, path: str) -> int | None:
-        """None: it is missing, or is no number."""
+        """None: it is missing, or not a number."""
         try:
             return int(self.text(path), 0)
         except ValueError:

@@ -238,7 +238,7 @@ def _implausible(joint: Joint) -> str:
         (joint.voltage_v, VOLTAGE_V, "V"), (joint.temperature_c, TEMPERATURE_C, "°C"),
     ):  # fmt: skip
         if value is not None and not low <= value <= high:
-            return f"{value:g} {unit} is no plausible value"
+            return f"{value:g} {unit} is not a plausible value"
     return ""
 
 

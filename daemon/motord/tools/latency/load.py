@@ -72,7 +72,7 @@ def burn(cleanup: contextlib.ExitStack, kind: str, count: int, where: str) -> No
 
 
 def wait_for_first_byte(process: subprocess.Popen[bytes]) -> None:
-    """The burner says so when it is at work."""
+    """Waits until the burner reports that it is at work."""
     assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], START_DEADLINE_S)
     if not ready or not process.stdout.read(1):

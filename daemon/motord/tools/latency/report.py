@@ -73,7 +73,7 @@ NOTHING = Spread(0, math.nan, math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """So many ticks were between `low_us` and `high_us` late."""
+    """The number of ticks that were between `low_us` and `high_us` late."""
 
     low_us: float
     high_us: float

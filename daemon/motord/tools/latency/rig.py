@@ -54,7 +54,7 @@ LIMITS: BaseLimits = {
         "jerk_u_s3": math.inf,
     },
 }
-"""So wide that the first tick that has a command reaches it."""
+"""Wide enough for the first tick with a command to reach it."""
 
 
 def wheel(side: float) -> JointConfig:

@@ -92,8 +92,9 @@ def _changes(
 
 
 def may_be_paused(process: int) -> bool:
-    """Neither this program, nor one that it descends from, nor init, nor one of motord's, nor what
-    has no command line: a thread of the kernel, or a program that has ended."""
+    """Whether the process may be stopped: not this program or one that it descends from, init, a
+    program of motord, or what has no command line (a kernel thread, or a program that has
+    ended)."""
     protected, one = {1}, os.getpid()
     while one > 1 and one not in protected:
         protected.add(one)

@@ -15,7 +15,7 @@ class EvdevGamepad:
     """One device, from its opening until it is unplugged."""
 
     def __init__(self, section: JoystickInput) -> None:
-        """Raises OSError, and ValueError for an axis that it has not."""
+        """Raises OSError, and ValueError for an axis that it lacks."""
         self._codes = codes_of(section)
         self._device = find_device(section.device)
         try:

@@ -18,7 +18,7 @@ BURST = 8
 BURST_WITHIN_S = 0.1
 """So many keys in so short a time come from a buffer: no keyboard repeats faster than 50 Hz."""
 SILENCE_S = 0.25
-"""After keys from a buffer, nothing moves until no key has come for so long."""
+"""After keys from a buffer, nothing moves until no key has come for this long."""
 PINGS_MAX = 20
 UNANSWERED_AFTER_S = 1.0
 PING = b"\x1b[5n"

@@ -21,7 +21,7 @@ SEND_PERIOD_S = 0.05
 PING_PERIOD_S = 0.05
 LOOK_PERIOD_S = 0.2
 GAP_S = 0.3
-"""A program that stood still for so long drops the keys that have come meanwhile."""
+"""A program that stood still for this long drops the keys that have come meanwhile."""
 REST_WITHIN_S = 10.0
 ANSWERS_WITHIN_S = 0.3
 """For the terminal's answers that are still to come: they would end up in the shell."""
@@ -217,7 +217,7 @@ class Teleop:
                     await self._robot.drive(0.0, 0.0, owner=OWNER)
                     await self._robot.release(OWNER)
                     refused = ""
-            except Refused as error:  # r or m may mend it: the session goes on
+            except Refused as error:  # r or m may fix it: the session goes on
                 if str(error) != refused:
                     refused = str(error)
                     self._terminal.message(refused)

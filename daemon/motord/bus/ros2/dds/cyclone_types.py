@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our types as the Cyclone DDS binding wants them, made when first asked for. It needs them to
+"""Our types as the Cyclone DDS binding expects them, made when first asked for. It needs them to
 announce a topic; messages themselves are encoded by `cdr`."""
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is logged of endpoints of others on our topics whose type is another one: no middleware
-brings them together, and most say nothing of it."""
+"""Log lines about endpoints of other nodes on our topics whose type differs from ours: no
+middleware connects the two, and most report nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CURES = {
     ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"): "stamped = false takes Twist",
     ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"): "stamped = true takes it",
 }
-"""By what we want and what there is: what to write into the robot file."""
+"""By our type and theirs: what to write into the robot file."""
 Side = Literal["writer", "reader"]
 
 
@@ -23,7 +23,7 @@ def type_conflict(topic: str, side: Side, ours: str, theirs: str) -> str | None:
         return None
     kind = theirs.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
     lost = (
-        "is not received: motord wants" if side == "writer" else "receives nothing: motord writes"
+        "is not received: motord expects" if side == "writer" else "receives nothing: motord writes"
     )
     cure = CURES.get((ours, kind))
     return f"{topic}: a {side} of {kind} {lost} {ours}" + (f" ({cure})" if cure else "")

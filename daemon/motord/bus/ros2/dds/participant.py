@@ -40,8 +40,8 @@ from motord.bus.ros2.quality import Quality
 
 Discovery = Literal["localhost", "subnet"]
 URI = "CYCLONEDDS_URI"
-"""Cyclone's own configuration, from the environment: with discovery subnet, its author knows
-better than we. It cannot open what the robot file keeps on this machine."""
+"""Cyclone's own configuration, from the environment: with discovery subnet it takes precedence over
+ours. It cannot open to the network what the robot file keeps on this machine."""
 BLOCKING_MAX = duration(milliseconds=5)
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _JOIN_WITHIN_S = 2.0
@@ -200,7 +200,7 @@ class Reader:
             _log.warning(_MISMATCH, self.name, "writer", _policy(status.last_policy_id), "request")
 
 
-_MISMATCH = "%s: a %s is not served: it does not go with the %s that we %s"
+_MISMATCH = "%s: a %s is not served: it does not match the %s that motord %ss"
 _POLICIES = {
     2: "durability (volatile or transient local)",
     11: "reliability (best effort or reliable)",
@@ -277,9 +277,9 @@ class Participant:
         take: Callable[[bytes, Any], None] | None,
         service: str | None = None,
     ) -> Reader:
-        """`take` is called in the event loop for each sample, with DDS's word on it, and must not
-        raise; None: its samples are taken elsewhere. `service`: whose requests it reads. Raises
-        DdsError."""
+        """`take` is called in the event loop for each sample, with DDS's information about it, and
+        must not raise; None: its samples are taken elsewhere. `service`: whose requests it reads.
+        Raises DdsError."""
         try:
             entity = DataReader(
                 self.entity, self._topic(topic, kind, service), _qos(quality, user_data)
@@ -321,7 +321,7 @@ class Participant:
             await self._arrived.wait()
             self._arrived.clear()
             if self._broken is not None:
-                raise DdsError(f"DDS does not wait any more: {self._broken.msg}")
+                raise DdsError(f"waiting for DDS failed: {self._broken.msg}")
             for reader in self.readers:
                 reader.deliver()
             self._taken.set()

@@ -45,8 +45,8 @@ def set_policy(policy: int, priority: int, process: int | str = "self") -> None:
 def _flooded() -> None:
     set_policy(os.SCHED_OTHER, 0)
     _log.warning(
-        "DDS brings so much that a thread did not pause for %d ms: commands from it take turns"
-        " with Python from now on, until motord-bus starts again",
+        "DDS receives so much that its thread ran for %d ms without a pause: it loses its real-time"
+        " priority until motord-bus starts again, and its commands may wait for Python",
         REALTIME_RUNS_MAX_US // 1000,
     )
 

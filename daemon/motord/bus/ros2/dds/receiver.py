@@ -23,7 +23,7 @@ from motord.bus.ros2.quality import Quality
 
 TYPE = "geometry_msgs/msg/TwistStamped"
 NEWEST_FEW = Quality(depth=8, reliable=False)
-"""Each has a stamp, so that an old one is not obeyed; they are handed on in their order."""
+"""Each has a stamp, so that an old one is refused; they are handed on in their order."""
 TRIED = ("11.",)
 """Versions of the binding whose C library is known to have what is called, as it is called."""
 ALIVE_EVERY_S = 0.2
@@ -40,20 +40,20 @@ class Endpoint(Protocol):
 
 
 def library() -> Any | None:
-    """`_motord_bus` with the C library of the binding; None, and a word in the log: commands go
+    """`_motord_bus` with the C library of the binding; None, and a line in the log: commands go
     through Python then."""
     try:
         found = version("cyclonedds")
         if not found.startswith(TRIED):
-            raise ImportError(f"cyclonedds {found} is not known")
+            raise ImportError(f"cyclonedds {found} has not been tried")
         import _motord_bus
         from cyclonedds.internal import load_cyclonedds
 
         path = load_cyclonedds()._name  # noqa: SLF001  ctypes keeps it there
         if _motord_bus.lib.receiver_library(os.fsencode(path)) != 0:
-            raise ImportError(f"{path} has not what is needed")
+            raise ImportError(f"{path} lacks a function that is needed")
     except (ImportError, PackageNotFoundError) as error:
-        _log.warning("cmd_vel goes through Python, and waits while that is busy: %s", error)
+        _log.warning("cmd_vel goes through Python and waits while Python is busy: %s", error)
         return None
     return _motord_bus
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clients of our services on a middleware that does not read our answers: each is named once, with
-what to do. Without a word the person at the command line would wait for nothing."""
+what to do. Otherwise a person at a command line would wait without knowing why."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Unanswered:
             self._more += 1
 
     def say(self, now_s: float | None = None) -> None:
-        """Name those that are known, or will not be known."""
+        """Log the clients whose name is known, or has not become known in time."""
         now_s = _now_s(now_s)
         if now_s < self._due_s:
             return

@@ -165,7 +165,7 @@ class ActionServer:
         number = bytes(request.goal_id.uuid)
         refused = SimpleNamespace(accepted=False, stamp=_time(0))
         if number in self._goals:
-            return self._no(refused, "a goal of that number is known already")
+            return self._no(refused, "a goal with this id exists already")
         if self._turn.holder is not None:
             return self._no(refused, f"{self._turn.holder} is running")
         self._turn.holder, work = self._name, None
@@ -185,7 +185,7 @@ class ActionServer:
         return SimpleNamespace(accepted=True, stamp=_time(goal.stamp_ns))
 
     def _no(self, answer: SimpleNamespace, why: str) -> SimpleNamespace:
-        """The answer has no word for it: the log has, rate-limited for each reason by itself."""
+        """The answer cannot hold the reason: it is logged, rate-limited for each reason."""
         reason = _NUMBER.sub("", why)
         voice = self._voices.setdefault(reason, RateLimitedLog(_log))
         voice.say(f"action {self._name}: refused: {why}")

@@ -89,7 +89,7 @@ class Lifecycle:
         self._events = node.publisher("~/transition_event", "lifecycle_msgs/msg/TransitionEvent")
 
     async def run(self) -> None:
-        """Say when the state has changed, until cancelled."""
+        """Publish each change of the state, until cancelled."""
         while True:
             self._look()
             await asyncio.sleep(LOOK_EVERY_S)

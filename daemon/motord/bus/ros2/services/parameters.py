@@ -117,7 +117,7 @@ def _event(node: str, changed: Sequence[SimpleNamespace]) -> SimpleNamespace:
 
 
 def _listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
-    """As rcl_interfaces/srv/ListParameters says it; depth 0 is any."""
+    """As rcl_interfaces/srv/ListParameters defines it; depth 0 is any."""
     for prefix in prefixes or ("",):
         below = name.removeprefix(f"{prefix}.") if prefix else name
         if prefix and below == name:

@@ -89,7 +89,7 @@ class Service:
         try:
             self._waiting.put_nowait((raw[len(HEADER) : _BODY], request, info.publication_handle))
         except asyncio.QueueFull:
-            self._voice.say(f"service {self._name}: {WAITING_MAX} requests wait, one is lost")
+            self._voice.say(f"service {self._name}: {WAITING_MAX} requests wait, one is dropped")
 
     async def run(self) -> None:
         """Answer until cancelled."""
@@ -106,8 +106,8 @@ class Service:
             self.writer.write(bytearray(HEADER + who) + reply[len(HEADER) :])
 
     async def _matched(self, client: int) -> None:
-        """Until the client receives replies: one that was just made may not yet. A client that says
-        no name, or goes, is answered at once."""
+        """Until the client receives replies: one that was just made may not yet. A client that
+        gives no name, or goes, is answered at once."""
         name = self._client_id(client)
         if name is None:
             return

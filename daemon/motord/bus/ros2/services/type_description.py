@@ -28,7 +28,7 @@ _NOTHING = {
 
 
 class TypedNode(Protocol):
-    """What is asked of a node here."""
+    """What this service needs of a node."""
 
     types: set[str]
     """Of its topics and services."""

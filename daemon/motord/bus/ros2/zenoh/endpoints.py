@@ -98,7 +98,7 @@ class Publisher:
 
     def _put(self, raw: bytes) -> None:
         if self._entity is None:
-            return  # no session yet, which the node says
+            return  # no session yet, which the node logs
         self._sequence += 1
         attachment = Attachment(self._sequence, time.time_ns(), self._gid).encode()
         try:
@@ -232,4 +232,4 @@ def _refuse(query: zenoh.Query, text: str) -> None:
         with query:
             query.reply_err(text)
     except zenoh.ZError as error:
-        _log.debug("no refusal reached the client: %s", error)
+        _log.debug("the refusal did not reach the client: %s", error)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keys, tokens and attachments by which rmw_zenoh 0.2.x (Jazzy) and later know a ROS 2 node on
-Zenoh: its docs/design.md. An endpoint is announced by a liveliness token that says all of it."""
+Zenoh: its docs/design.md. A liveliness token, which contains all of it, announces an endpoint."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _SPACE = "@ros2_lv"
 _DEPTH_DEFAULT = 42
 _TYPE_PLACE, _NODE_PLACES = 10, slice(7, 9)
 _NO_HASH = "TypeHashNotSupported"
-"""What rmw_zenoh of Humble says in its place."""
+"""What rmw_zenoh of Humble writes in its place."""
 _ATTACHMENT = struct.Struct("<qqB16s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeNames:
-    """What every token of a node says."""
+    """What every token of a node contains."""
 
     domain_id: int
     session_id: str

@@ -34,7 +34,7 @@ class Router:
     """Where the router is, and our name there. Files by their paths."""
 
     endpoint: str = ROUTER
-    """As Zenoh says it: tcp/HOST:PORT, tls/HOST:PORT."""
+    """As Zenoh writes it: tcp/HOST:PORT, tls/HOST:PORT."""
     ca_file: str | None = None
     cert_file: str | None = None
     key_file: str | None = None

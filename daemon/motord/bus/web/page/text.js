@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every string that a person reads, for translators. Words that the robot sends are its own.
+// Every string that a person reads, for translators. Texts that the robot sends come as they are.
 
 export const TEXT = {
   tabs: {
@@ -15,11 +15,11 @@ export const TEXT = {
   connecting: "Connecting",
   connected: "Connected",
   notLoaded: (tab, why) => `${tab} cannot be loaded (${why}). `
-    + "Choose it again, or load the page anew.",
+    + "Choose it again, or reload the page.",
   lost: "Connection lost",
   stale: "No state",
   lostText: "This page has no connection to the robot. It tries again. What is shown below is old.",
-  staleText: "The robot's computer answers, but its daemon sends no state: it has ended or starts.",
+  staleText: "The robot's computer answers, but the daemon sends no state: it ended or starts.",
   refusedTitle: "Token needed",
   tokenLabel: "Token of this robot",
   tokenHelp: "It is in the file that token_file names in the robot file.",
@@ -44,7 +44,7 @@ export const TEXT = {
     unknown: "Unknown",
   },
   next: {
-    off: "The daemon starts or ends.",
+    off: "The daemon is starting or ending.",
     configuring: "Wait until all drives answer.",
     idle: "Arm to power the drives.",
     armed: "Drive, or disarm to remove the power.",
@@ -63,7 +63,7 @@ export const TEXT = {
     angular_deceleration: "turn deceleration limit", angular_jerk: "turn jerk limit",
     wheel_saturated: "a wheel at its limit", duty_clamped: "duty at its limit",
     duty_slew: "duty slew rate", stop_requested: "a stop was requested",
-    command_stale: "the command is old", command_not_finite: "the command is no number",
+    command_stale: "the command is old", command_not_finite: "the command is not a number",
     fault: "a fault", not_armed: "not armed",
   },
 
@@ -98,13 +98,13 @@ export const TEXT = {
     blur: "Released: the page lost the focus.",
     hidden: "Released: the page was hidden.",
     lost: "Released: the connection is silent.",
-    taken: "Released: another key or button, a menu or a drag may keep the release from this page.",
+    taken: "Released: another key, a menu or a drag could hide your release from this page.",
   },
   requested: "Requested",
   driving: "Driving",
   notDriving: "Not driving",
 
-  pause: "Pause", resume: "Go on", csv: "Export CSV", window: "Time shown",
+  pause: "Pause", resume: "Resume", csv: "Export CSV", window: "Time shown",
   seconds: (s) => `${s} s`,
   dropped: (n) => `${n} states not received`,
   plots: {
@@ -150,15 +150,15 @@ export const TEXT = {
   wouldSave: (file) => `This would change in ${file}. `
     + "Comments stay, and the old file is kept beside it.",
   saved: (file) => `Written: ${file}`,
-  nothingToSave: (file) => `${file} has the limits in force already.`,
+  nothingToSave: (file) => `${file} already has the limits that are in force.`,
   close: "Close", cancel: "Cancel",
   forceNow: "in force",
 
   // The robot file in its editor
   fileNeedsToken: "The robot file is shown to pages that have the token.",
   writingNeedsToken: "Only a page that has shown the token of this robot may write the file.",
-  fileHelp: "The daemon runs by the file that it has read at its start: what is saved here takes "
-    + "effect when you start it again. Ctrl and space list keys and values, Esc closes the list, "
+  fileHelp: "The daemon uses the file that it read at its start: restart it to use what you save. "
+    + "Ctrl and space list keys and values, Esc closes the list, "
     + "Ctrl and S shows what would be saved. A file that does not pass the check is not written.",
   fileChanged: "Changed, not saved",
   completions: "Keys and values",
@@ -189,7 +189,7 @@ export const TEXT = {
   // Commissioning, and the robot file
   commissionedBy: (procedure, page) =>
     `${TEXT.procedures[procedure]?.title ?? procedure} is running${page ? ` on ${page}` : ""}: `
-    + "it commands the robot, no page can.",
+    + "it commands the robot, so no page can.",
   procedures: {
     spin: {
       title: "First turn of each wheel",
@@ -244,12 +244,12 @@ export const TEXT = {
   stopProcedure: "STOP", stopKey: "any key",
   questionTitle: "Question",
   preparing: "Preparing",
-  goOn: "Conduct it on this page",
-  abandoned: "The page that conducted this procedure is gone. The robot rests without power.",
-  otherConducts: (page) => `${page} conducts this procedure. You can stop it here.`,
+  goOn: "Continue on this page",
+  abandoned: "The page that ran this procedure is gone. The robot rests without power.",
+  otherConducts: (page) => `${page} runs this procedure. You can stop it here.`,
   resultGood: "Done", resultBad: "Not done",
   writtenFile: (file) => `${file} is written. The old file is kept beside it.`,
-  restart: "Start the daemon again: it runs by the new file then.",
+  restart: "Restart the daemon to use the new file.",
   notWritable: (file) => `motord-bus cannot write ${file}. `
     + "Download the new file, copy it to the robot, and run there:",
   copyCommand: (file, name) => `sudo cp -p ${file} ${file}.old && sudo cp ${name} ${file}`,
@@ -292,7 +292,7 @@ export const TEXT = {
   time: "Time", result: "Result", reply: "Reply after", meaning: "Meaning", bytes: "Bytes",
 
   estopAll: "E-STOP for all robots",
-  notReached: "This e-stop has not reached every robot. Stop these at the robot:",
+  notReached: "This e-stop did not reach every robot. Stop these robots by hand:",
   notConnected: "not connected", needsToken: "needs its token",
   open: "Open", robot: "Robot",
   tokenFor: (robot) => `Token of ${robot}`,

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands and modules of motord as processes of their own: they may load what motord-bus does
-without, and take their time without costing it any."""
+"""Commands and modules of motord as processes of their own: they may load packages that motord-bus
+does without, and may be slow."""
 
 from __future__ import annotations
 

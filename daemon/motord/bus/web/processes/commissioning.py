@@ -119,9 +119,9 @@ class Commissioning:
     def take(self, viewer: Viewer) -> None:
         """Conduct it from this page on, where its own is gone. Raises NotTaken."""
         if self.record is None or self.running is None:
-            raise NotTaken("no procedure runs")
+            raise NotTaken("no procedure is running")
         if self.owner is not None:
-            raise NotTaken(f"{self.owner.name} conducts it")
+            raise NotTaken(f"{self.owner.name} runs this procedure")
         self.owner, self._left_s = viewer, None
         self.record["page"] = viewer.name
         self._publish()
@@ -150,7 +150,7 @@ class Commissioning:
 
     def _of(self, viewer: Viewer) -> dict[str, Any]:
         if self.record is None or self.running is None or viewer is not self.owner:
-            raise NotTaken("this page conducts no procedure")
+            raise NotTaken("this page does not run the procedure")
         return self.record
 
     # ------------------------------------------------------------------------------------ at work
@@ -228,7 +228,7 @@ class Commissioning:
         self.record["shown"] = [*self.record["shown"], message][-SHOWN_MAX:]
 
     def _send(self, message: Mapping[str, Any]) -> None:
-        """Never waits; one that does not read is silent for the procedure, which ends."""
+        """Never waits: a procedure that does not read takes its page for silent, and ends."""
         if self._process is None or self._process.stdin is None:
             return
         transport = self._process.stdin.transport
@@ -244,7 +244,7 @@ async def _next(output: asyncio.StreamReader) -> dict[str, Any] | None:
         if message is not None and not isinstance(message, dict):
             raise ValueError("no object")
     except ValueError as error:  # killed in the middle of a line, perhaps
-        _log.error("a procedure sent what cannot be read: %s", error)
+        _log.error("a procedure sent a line that is not valid JSON: %s", error)
         return None
     return message
 

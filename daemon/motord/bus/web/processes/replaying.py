@@ -34,7 +34,7 @@ class Replays(TaskOwner):
     def start(self, key: Key, path: Path) -> None:
         """Raises NotTaken."""
         if self._tasks is None or key in self._running:
-            raise NotTaken("it is replayed already")
+            raise NotTaken("this recording is being replayed already")
         if len(self._running) >= WAITING_MAX:
             raise NotTaken("too many recordings wait for a replay: try again")
         self._note(key, {"state": "waits"})
@@ -43,7 +43,7 @@ class Replays(TaskOwner):
         task.add_done_callback(lambda task: self._ended(key, task))
 
     def cancel(self, key: Key) -> None:
-        """Nothing where it is not replayed."""
+        """Cancel that replay; nothing where there is none."""
         if (task := self._running.get(key)) is not None:
             task.cancel()
 

@@ -50,7 +50,7 @@ class Traces(TaskOwner):
         self._looks: dict[str, _Look] = {}
 
     def show(self, viewer: Viewer, line: str) -> None:
-        """From now on, instead of what it was shown before."""
+        """Show it from now on, instead of what that page was shown before."""
         self.leave(viewer)
         if self._tasks is None:
             return
@@ -61,7 +61,7 @@ class Traces(TaskOwner):
         look.viewers.add(viewer)
 
     def leave(self, viewer: Viewer) -> None:
-        """It is shown none any more."""
+        """Stop showing it to that page."""
         for line, look in tuple(self._looks.items()):
             look.viewers.discard(viewer)
             if not look.viewers:

@@ -30,7 +30,7 @@ def _specs(robot: Robot, profiles: Profiles) -> Iterator[LineSpec]:
 
 
 def _plans(spec: LineSpec) -> list[CanPlan]:
-    """One joint a channel: also where the file is wrong, which another rule says."""
+    """One joint a channel, also where the file has several: another rule reports that."""
     nodes: dict[int, dict[int, JointSpec]] = {}
     for joint in spec.joints:
         nodes.setdefault(joint.unit, {})[joint.channel] = joint

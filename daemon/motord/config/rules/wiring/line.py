@@ -86,7 +86,7 @@ def _unit(robot: Robot) -> Iterator[Finding]:
     for name, joint in robot.joint.items():
         line = robot.line.get(joint.line)
         if isinstance(line, SabertoothLine) and joint.unit not in SABERTOOTH_UNITS:
-            text = f"{joint.unit} is no address of a Sabertooth (128 to 135)"
+            text = f"{joint.unit} is not an address of a Sabertooth (128 to 135)"
             yield Finding((("joint", name, "unit"), ("line", joint.line, "kind")), text)
             continue
         if "unit" in joint.model_fields_set or line is None or isinstance(line, WITHOUT_ADDRESS):

@@ -93,7 +93,7 @@ def _with_read_write(joint: JointSpec) -> JointSpec:
 
 
 def _units(spec: LineSpec) -> list[list[JointSpec]]:
-    """One joint a channel: also where the file is wrong, which another rule says."""
+    """One joint a channel, also where the file has several: another rule reports that."""
     units: dict[int, dict[int, JointSpec]] = {}
     for joint in spec.joints:
         units.setdefault(joint.unit, {})[joint.channel] = joint
@@ -130,7 +130,7 @@ def _stream_bytes(spec: LineSpec, joints: list[JointSpec]) -> int:
     try:
         return wire_bytes(spec, joints[0].profile.channels)
     except ProfileError:
-        return 1  # a wrong template, which another rule says
+        return 1  # a wrong template, which another rule reports
 
 
 def _wire_time_s(spec: LineSpec, size_bytes: int) -> float:

@@ -11,20 +11,20 @@ class FeedbackChecks(Section):
     those of the joint's working speed: the fastest that [limits] request of it, at most its own."""
 
     direction_s: float = number(
-        "a wheel that turns against its set-point for so long is a fault; 0: no check",
+        "a wheel that turns against its set-point for this long is a fault; 0: no check",
         0,
         60,
         "s",
         0.5,
     )
     stall_s: float = number(
-        "a wheel that does not turn for so long is a fault; 0: no check", 0, 60, "s", 1.0
+        "a wheel that does not turn for this long is a fault; 0: no check", 0, 60, "s", 1.0
     )
     setpoint_min_part: float = number(
         "direction and stall are judged from this set-point on", 0.01, 1, "1", 0.1
     )
     following_s: float = number(
-        "a wheel that lacks following_part for so long and comes no nearer to its set-point is a "
+        "a wheel that lacks following_part for this long and comes no nearer to its set-point is a "
         "fault; 0: no check, as for a drive that takes a duty where it is not given",
         0,
         60,
@@ -36,7 +36,7 @@ class FeedbackChecks(Section):
     )
     position_following_s: float = number(
         "a joint that takes positions and is farther than position_following_rad from its "
-        "set-point for so long, and comes no nearer, is a fault; 0: no check",
+        "set-point for this long, and comes no nearer, is a fault; 0: no check",
         0,
         60,
         "s",
@@ -51,7 +51,7 @@ class FeedbackChecks(Section):
         0.15,
     )
     runaway_s: float = number(
-        "a wheel that is faster by runaway_part for so long and comes no nearer to its set-point "
+        "a wheel that is faster by runaway_part for this long and comes no nearer to its set-point "
         "is a fault; 0: no check",
         0,
         60,
@@ -67,7 +67,7 @@ class FeedbackChecks(Section):
         0.4,
     )
     implausible_s: float = number(
-        "a counter and a reported velocity that contradict each other for so long are a fault; "
+        "a counter and a reported velocity that contradict each other for this long are a fault; "
         "0: no check",
         0,
         60,
@@ -75,5 +75,5 @@ class FeedbackChecks(Section):
         1.0,
     )
     jumps_max: int = number(
-        "so many counter jumps within a second are a fault; 0: any number", 0, 1000, "1", 3
+        "this many counter jumps within a second are a fault; 0: any number", 0, 1000, "1", 3
     )

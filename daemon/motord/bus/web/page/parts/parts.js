@@ -38,7 +38,7 @@ export function Rows({ rows }) {
   </dl>`;
 }
 
-/** Buttons that call the robot, and why it did not obey. */
+/** Buttons that call the robot, and why a call failed. */
 export function useCall(link) {
   const [problem, say] = useState("");
   const call = async (method, title, params, withinMs) => {

@@ -6,7 +6,7 @@ import { TEXT } from "../text.js";
 import { Actions, Card, measure, number, Rows, useCall, useLink } from "../parts/parts.js";
 import { BaseView } from "../parts/base_view.js";
 
-/** Reasons that say something: not what is so of every robot that is not driven. */
+/** Reasons that are worth showing: without those that hold for every robot at rest. */
 function telling(now) {
   const driven = ["moving", "stopping"].includes(now.state);
   const usual = now.state === "armed" ? ["command_stale"] : ["not_armed", "command_stale"];

@@ -158,7 +158,7 @@ function Lateness({ link, history }) {
         const middles = shown.map(([low, high]) => Math.max(0.1, (low + high) / 2));
         if (!ended) chart.setData([middles, shown.map(([, , n]) => n)]);
       } catch {
-        // no connection: the page says so
+        // no connection: the page shows that
       }
     };
     look();

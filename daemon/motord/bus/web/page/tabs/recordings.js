@@ -77,7 +77,7 @@ export function Recordings({ link }) {
   const [found, setFound] = useState(NOTHING);
   const [call, problem] = useCall(link);
   const open = link.phase === "open";
-  // Without a connection the page says so.
+  // Without a connection: the page shows that.
   const look = () => link.call("recordings").then(setFound, () => {});
   useEffect(() => {
     if (!open) return undefined;
