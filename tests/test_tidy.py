@@ -454,8 +454,10 @@ def test_messages_are_terms_of_the_glossary():
 
 
 def test_names_of_tests_are_in_the_terms_of_the_glossary():
-    words = PRIVATE_WORD.pattern.replace("|ways?|", "|")  # what goes both ways, in a sentence
-    private = re.compile(f"(?:^|_)({words}|says?|nobody|somebody|whom|his|him)(?=_|$)")
+    private = re.compile(
+        f"(?:^|_)({PRIVATE_WORD.pattern}|says?|tells?|hears?|asks|who|whom|he|his|him|nobody"
+        r"|somebody|anybody|whoever|lets?_go|is_none|are_none|sent_(?:so|of))(?=_|$)"
+    )
     rows = [
         f"{where(path, number)}: {found[1]}"
         for path in PYTHON
