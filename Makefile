@@ -76,16 +76,17 @@ build/ros-%/made: tests/peers/ros2_rclpy/ros-%.txt tests/peers/ros2_rclpy/make_m
 demo: $(VENV)/built
 	@$(VENV)/bin/motord demo $(ARGS)
 
-# More workers than processors: most tests wait for simulated motors. With nine, two processors are
-# so busy that tests miss their deadlines and run again, which takes longer than with six.
-WORKERS ?= 6
+# More workers than processors: most tests wait for simulated motors.
+WORKERS ?= 9
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
 LEFT_OUT = Left out: long tests, and those with other programs. make test-all runs them, too.
 test: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTEST) --without-long $(ARGS)
 	$(if $(ARGS),,@echo "$(LEFT_OUT)" >&2)
 
-# Also the tests marked `long`, and those with programs of others: tests/conftest.py.
+# Also the tests marked `long`, and those with programs of others: tests/conftest.py. These wait
+# less: with nine workers, two processors are late, tests run again, and all of it takes longer.
+test-all: WORKERS = 6
 test-all: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTEST) $(ARGS)
 
