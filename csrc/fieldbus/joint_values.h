@@ -19,7 +19,7 @@ static inline bool setpoint_position(const setpoints *from, uint32_t joint, doub
     return isfinite(*position_rad);
 }
 
-/* The core's set-point of a joint; 0 if there is none or it is not a number, NaN for a position.
+/* The core's set-point of a joint; 0 if it is missing or not a number, NaN for a position.
  * Does not check whether the joint may move. */
 static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t kind)
 {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What axe-core finds on a page. Without axe-core a test is skipped with the way to install it."""
+"""Findings of axe-core on a page. Without it a test is skipped and prints how to install it."""
 
 import json
 import os

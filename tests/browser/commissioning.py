@@ -70,7 +70,7 @@ def answers(page, replies):
 
 
 def asked_text(page):
-    """The text of the open question; empty if there is none."""
+    """The text of the open question; empty without one."""
     return page.evaluate("document.querySelector('.question.open .asks')?.innerText ?? ''")
 
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bus kinds of another package, in motord-bus. One is an input that commands while its order says
-so, and breaks its process in the ordered way."""
+so, and breaks its process as ordered."""
 
 import contextlib
 from pathlib import Path

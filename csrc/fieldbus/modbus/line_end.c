@@ -38,7 +38,7 @@ static bool reports_power(const line_exchange *turn)
     return false;
 }
 
-/* The first exchange that reads its power. If there is none, the one that probes it: then only that
+/* The first exchange that reads its power. Without one, the exchange that probes it: then only that
  * it receives can be known. */
 static uint32_t power_read(const line_drive *table)
 {

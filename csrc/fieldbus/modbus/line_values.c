@@ -33,7 +33,7 @@ static position_range range_of(const line_machine *m, uint32_t drive, const line
                             .window_ns = place_window_ns(m->table.setpoint_timeout_ns, period_ns)};
 }
 
-/* The requested target, as its request would carry it; NaN: there is none, or it may not move. */
+/* The requested target, as its request would carry it; NaN: no target, or it may not move. */
 static double target_wanted(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
     double wanted_rad = may_move(m, drive)

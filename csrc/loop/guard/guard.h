@@ -23,7 +23,8 @@ typedef struct {
 typedef struct {
     uint64_t takes[LINES_MAX];
     int64_t taken_ns[LINES_MAX];
-    bool watched[LINES_MAX]; /* it had enabled drives, and has not worked since */
+    bool watched[LINES_MAX]; /* it had enabled drives, and has not been seen to work since they
+                                are disabled */
     bool was_enabled;
     bool high;
     uint32_t ticks; /* since the last edge */

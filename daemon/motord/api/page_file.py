@@ -151,7 +151,7 @@ class PageFile:
 
 
 def _open(path: Path) -> int | None:
-    """The file, made if there is none. None: another user may write the file that is there."""
+    """The file, made if it is missing. None: another user may write the file that is there."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         info = path.lstat()

@@ -83,7 +83,7 @@ class BatteryWatch:
         self.level = BatteryLevel.UNKNOWN
 
     def take(self, measure: Measure | None, now_ns: int) -> str | None:
-        """Take a measure; None: there is none. Returns a line for the log, or None."""
+        """Take a measure; None: no measure came. Returns a line for the log, or None."""
         if measure is None or not measure.counts:
             return self._miss(now_ns)
         self._measure, self._received_ns, self._reported_silent = measure, now_ns, False

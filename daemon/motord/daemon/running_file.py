@@ -51,7 +51,7 @@ def kept(robot: Robot, folder: Path) -> Iterator[None]:
 
 def find(robot_file: Path, folders: Sequence[Path] | None = None) -> RunningFile | None:
     """The robot file that the last daemon on this file used, if that daemon did not end in good
-    order. None: there is none, or it is not ours to read."""
+    order. None: no such file, or it is not ours to read."""
     for folder in socket_folders() if folders is None else folders:
         place = folder / _name(robot_file)
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):

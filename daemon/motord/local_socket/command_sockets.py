@@ -38,7 +38,7 @@ class CommandSockets:
 
 
 def section_of(robot: Robot) -> RtInput | None:
-    """The robot file's section for commands as datagrams; None: there is none."""
+    """The robot file's section for commands as datagrams; None: the file has no such section."""
     return next((found for found in robot.input.values() if isinstance(found, RtInput)), None)
 
 

@@ -112,7 +112,7 @@ class Strict(FramerBase):
         self._request = None
 
     def _accept(self, request: Request, frame: bytes) -> ModbusPDU | None:
-        """The answer for pymodbus; None: there is none, and `refused` is the reason."""
+        """The answer for pymodbus; None: no answer, and `refused` is the reason."""
         try:
             self.reply = parse_reply(request, frame)
         except FrameError as error:

@@ -142,7 +142,7 @@ class LineThreadHandle:
         self._stop = stop
 
     def stop(self) -> None:
-        """The thread has ended when this returns. Does nothing if there is none."""
+        """The thread has ended when this returns. Does nothing without a thread."""
         code = self._stop(self._line)
         if code != -errno.ESRCH:
             check_code(code, "the line cannot be stopped")

@@ -235,7 +235,7 @@ class Rig:
         return None
 
     def _watchdog_s(self, profile: DriveProfile) -> float:
-        """The time of a watchdog that cannot be set; 0: there is none."""
+        """The time of a watchdog that cannot be set; 0: no such watchdog."""
         return 0.0 if profile.watchdog else self.spec.watchdog_s or profile.watchdog_fixed_s
 
     def _make_gyro(self, line: LineSpec) -> SimulatedGyro | None:

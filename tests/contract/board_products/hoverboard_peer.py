@@ -53,7 +53,7 @@ class Program:
         self.process.stdin.flush()
 
     def end(self) -> None:
-        """Ends it in the regular way."""
+        """Closes its input and waits for its end."""
         assert self.process.stdin is not None
         self.process.stdin.close()
         assert self.process.wait(60) == 0

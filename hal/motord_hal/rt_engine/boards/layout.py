@@ -52,7 +52,7 @@ class Layout:
     dialect: Plain
     """The protocol's entries of the table."""
     rate_z: Plain | None = None
-    """The rate of an inertial sensor in a text; None: there is none."""
+    """The rate of an inertial sensor in a text; None: the text has no sensor."""
     units: tuple[int, ...] = ()
     """Addresses of drivers on one wire, each with its part of the frame; empty: one board."""
 

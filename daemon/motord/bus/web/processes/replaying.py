@@ -43,7 +43,7 @@ class Replays(TaskOwner):
         task.add_done_callback(lambda task: self._ended(key, task))
 
     def cancel(self, key: Key) -> None:
-        """Cancel that replay; nothing where there is none."""
+        """Cancel that replay, if it runs."""
         if (task := self._running.get(key)) is not None:
             task.cancel()
 
