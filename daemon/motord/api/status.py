@@ -193,7 +193,7 @@ class Limited:
     for_s: float = NAN
     """How long the reason has held."""
     joint: str | None = None
-    """The joint that the reason comes from; None: it comes from no single joint."""
+    """Joint that causes "wheel_saturated" or "derated"; None for every other reason."""
     by: str | None = None
     """Cause of a derating: temperature, current or voltage."""
     factor: float | None = None
