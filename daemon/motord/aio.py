@@ -94,7 +94,7 @@ class Client:
             raise ClientError(f"{where}: no connection within {self.timeout_s:g} s") from error
 
     async def _connect(self, path: Path) -> None:
-        """Connect, again while the daemon's queue of connections is full. The caller sets the
+        """Connect; retry while the daemon's queue of connections is full. The caller sets the
         deadline."""
         try:
             with contextlib.ExitStack() as unless_kept:
@@ -126,7 +126,7 @@ class Client:
                 await streams[1].wait_closed()
 
     async def ended(self) -> None:
-        """Return when the daemon has closed the connection. No call is made meanwhile. Raises
+        """Return when the daemon has closed the connection. Make no call meanwhile. Raises
         ClientError."""
         if self._streams is None:
             raise ClientError(f"the connection to {self.path} is closed")
@@ -328,8 +328,7 @@ class Client:
 
 
 async def send_stop(sender: socket.socket, path: Path, method: str) -> bool:
-    """Send the request, again while the receive queue is full. False: the daemon does not receive
-    it."""
+    """Send the request; retry while the receive queue is full. False: the daemon is gone."""
     with contextlib.suppress(OSError, TimeoutError):
         async with within(STOP_WITHIN_S):
             while not stop_request.try_send(  # noqa: ASYNC110  nothing says when it has room

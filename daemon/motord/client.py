@@ -165,8 +165,8 @@ class Client:
             raise ClientError(why_unreachable(self.path, error)) from error
 
     def _connect(self, end_s: float) -> None:
-        """Connect, again while the daemon's queue of connections is full, which other programs may
-        fill."""
+        """Connect; retry while the daemon's queue of connections, shared with other programs, is
+        full."""
         self._socket.settimeout(self.timeout_s)
         while True:
             try:

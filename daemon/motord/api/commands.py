@@ -90,12 +90,11 @@ class CommandReport:
     accepted: int
     refused: dict[Refusal, int]
     leases: dict[int, LeaseState]
-    """By the number of the lease."""
+    """State of each lease, by its number."""
     sideways: int = 0
-    """Accepted commands whose lateral part counts as zero because this base cannot move
-    sideways."""
+    """Accepted commands whose lateral part counts as zero: this base cannot move sideways."""
     on_spot: int = 0
-    """Accepted commands whose turn on the spot counts as zero because this base cannot do it."""
+    """Accepted commands whose turn on the spot counts as zero: this base cannot do it."""
 
 
 def datagram(

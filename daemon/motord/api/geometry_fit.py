@@ -69,8 +69,7 @@ class Measure:
 
     name: str
     left_m: Array
-    """Distance that the left side has rolled at each sample, with the present radius; begins at
-    0."""
+    """Distance rolled by the left side at each sample, with the present radius; begins at 0."""
     right_m: Array
     found: Pose
     deviation: Pose
@@ -99,8 +98,7 @@ def end_pose(left_m: Array, right_m: Array, track_m: float, factors: Factors) ->
 
 
 class _Stack:
-    """All measures as arrays with a row each; shorter paths are padded with standstill at their
-    end."""
+    """All measures as arrays with a row each; shorter paths stand still at their end."""
 
     def __init__(self, measures: Sequence[Measure], track_m: float) -> None:
         longest = max(len(each.left_m) for each in measures) - 1
@@ -203,8 +201,7 @@ def _solved(stack: _Stack, free: Sequence[Free]) -> Array:
 
 
 def _factors(at: Array, free: Sequence[Free]) -> Factors:
-    """Return the factors of these unknowns, which are logarithms so that no factor becomes
-    negative."""
+    """Return the factors of the unknowns, which are logarithms: no factor can become negative."""
     values = dict.fromkeys(FREE, 0.0) | dict(zip(free, map(float, at), strict=True))
     return Factors(
         math.exp(values["scale"] - values["ratio"] / 2.0),
@@ -234,7 +231,7 @@ def _covariance(
 
 
 def _deviations(covariance: Array, factors: Factors, free: Sequence[Free]) -> Factors:
-    """Return the standard deviations of the factors. Example: d left = left (d scale − d ratio /
+    """Return the standard deviations of the factors, as in d left = left (d scale − d ratio /
     2)."""
     places = {name: place for place, name in enumerate(free)}
 

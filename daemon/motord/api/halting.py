@@ -58,8 +58,8 @@ def _answered(local_socket: Path, method: str, timeout_s: float, problem: str) -
 
 
 def confirmed(local_socket: Path, method: str, requested_ns: int, within_s: float) -> str:
-    """Wait until the state page shows the effect of a request and return the state. Raises
-    ClientError."""
+    """Wait until the state page shows that a request has taken effect and return the state. Raises
+    ClientError if it does not in time."""
     end_s = time.monotonic() + within_s
     try:
         with _page(local_socket) as page:

@@ -15,13 +15,11 @@ _NOT_SENT = (float("inf"), float("-inf"))
 
 
 class ClientError(Exception):
-    """The daemon cannot be reached, did not answer or did not understand; the message names
-    which."""
+    """The daemon cannot be reached, did not answer or did not understand, as the message states."""
 
 
 class Refused(ClientError):
-    """The daemon understood the request and refused it; the message is its reason and the
-    remedy."""
+    """The daemon understood and refused the request; the message is its reason and the remedy."""
 
     def __init__(self, reason: str, code: int) -> None:
         super().__init__(reason)
@@ -44,8 +42,7 @@ def request_line(number: int, method: str, params: Mapping[str, Any]) -> bytes:
 
 
 def answer_to(number: int, line: bytes, where: object) -> dict[str, Any] | None:
-    """Return the answer to that call; None: it is the late answer to another one. Raises
-    ClientError."""
+    """Return the answer to that call; None: it is a late answer to another. Raises ClientError."""
     try:
         answer = json.loads(line)
     except ValueError as error:

@@ -28,15 +28,14 @@ LOOK_WITHIN_S = 0.9
 STUCK_S = 3.0
 """A base that comes no nearer to its goal for this time, plus the time to accelerate, is stuck."""
 TURN_RATE_MAX_RAD_S = math.pi
-"""Greatest turn rate; the base makes no half turn between two looks, which would hide its
-direction."""
+"""Greatest turn rate. A half turn between two looks would hide the direction of the turn."""
 CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
 """How often a base that rests beside its goal is corrected, forward or backward, and from how many
 tolerances beside it at most."""
 STOPS_EVERY_S = 0.1
 """Interval at which the daemon's count of stops is read, in addition to the state page."""
 UNSTOPPED_WITHIN_S = 1.0
-"""Time at rest within which the daemon has to report that no stop came; without it nothing is
+"""Time at rest within which the daemon has to report that no stop came; else nothing is
 corrected."""
 DISTANCE_MAX_U = 1000.0
 TOLERANCE_U = {"linear": 0.01, "angular": 0.02}
@@ -109,8 +108,7 @@ class Goal:
 
     @property
     def parts(self) -> dict[str, float]:
-        """The component of the direction on each axis that moves, from -1 to 1. Raises
-        ValueError."""
+        """The component of the direction on each axis that moves, -1 to 1. Raises ValueError."""
         if self.axis == "angular":
             return {"angular": 1.0}
         if not math.isfinite(self.direction_rad):
@@ -130,7 +128,7 @@ def limit_names(goal: Goal) -> tuple[str, ...]:
 
 
 def bounds_of(goal: Goal, sent: Mapping[str, float | None]) -> Bounds:
-    """Return the limits along the goal's direction. `sent`: the answer of `params.get`; None is no
+    """Return the limits along the goal's direction. `sent`: the answer of `params.get`; None: no
     limit."""
     of_axes = [
         [math.inf if (value := sent[name]) is None else value / abs(part) for name in _names(axis)]
@@ -164,8 +162,7 @@ class Plan:
 
 
 def planned(goal: Goal, bounds: Bounds) -> Plan:
-    """Check a goal and complete it. Raises ValueError, with the reason, for a goal that is not
-    possible."""
+    """Check and complete a goal. Raises ValueError, with the reason, for an impossible goal."""
     numbers = (goal.distance_u, goal.velocity_u_s, goal.tolerance_u, goal.timeout_s)
     if not all(map(math.isfinite, numbers)):
         raise ValueError("distance, speed, tolerance and time-out have to be finite numbers")
@@ -221,8 +218,7 @@ def obstacle(snapshot: Snapshot) -> str | None:
 
 
 class Travel:
-    """Signed distance, in a fixed direction of the base, and signed angle travelled since a
-    start."""
+    """Signed distance in a fixed direction of the base, and signed angle, since a start."""
 
     def __init__(self, start: Snapshot, direction_rad: float = 0.0) -> None:
         self._last = start
@@ -348,14 +344,13 @@ class Motion:
         return (now_ns - self._near_ns) * _NS > STUCK_S + starts_s
 
     def _creep_u_s(self) -> float:
-        """Return the speed from which the base stops within half of the tolerance, at most the
-        plan's."""
+        """Return the speed from which the base stops within half of the tolerance, limited by the
+        plan."""
         creep_u_s = self.plan.bounds.approach_u_s(self.plan.tolerance_u / 2.0)
         return min(creep_u_s, self.plan.velocity_u_s)
 
     def _onward(self) -> MotionStep:
-        """Return the step towards the goal, never slower than the creep speed, so that the base
-        arrives."""
+        """Return the step towards the goal, not slower than the creep speed, so that it arrives."""
         plan = self.plan
         speed_u_s = max(plan.bounds.approach_u_s(abs(self.remaining_u)), self._creep_u_s())
         speed_u_s = math.copysign(min(speed_u_s, plan.velocity_u_s), plan.distance_u)

@@ -37,7 +37,7 @@ _LATCHED = ("fault", "estop")
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A method of the daemon for the driver to call; it sends the result back or throws the
+    """A method of the daemon that the driver calls; it sends the result back or throws
     ClientError."""
 
     method: str

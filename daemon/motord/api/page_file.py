@@ -93,8 +93,7 @@ def _own_folder() -> Path:
 
 
 def own_page(name: str) -> Path:
-    """Return where a daemon of this user keeps the state page of the robot `name`. Raises
-    OSError."""
+    """Return where this user's daemon keeps the state page of the robot `name`. Raises OSError."""
     return _own_folder() / (name + PAGE)
 
 

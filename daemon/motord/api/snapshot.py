@@ -32,8 +32,7 @@ DERATED_BY = ("temperature", "current", "voltage")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot(PlainSnapshot):
-    """The robot after one tick. `stamp_ns` is CLOCK_MONOTONIC; publishers add the wall-clock
-    time."""
+    """The robot after one tick. `stamp_ns` is CLOCK_MONOTONIC; publishers add wall-clock time."""
 
     joints: tuple[JointSnapshot, ...]
     wanted_lateral_m_s: float = 0.0
@@ -41,15 +40,14 @@ class Snapshot(PlainSnapshot):
     lateral_m_s: float = 0.0
     """Measured, positive to the left; 0 for a base that cannot move sideways."""
     slip_m_s: float = 0.0
-    """Speed of the rims against each other, root mean square: the part that no motion of the base
-    explains."""
+    """Speed of the rims against each other that no motion of the base explains, root mean
+    square."""
     lateral_covariance: Doubles3 = (0.0, 0.0, 0.0)
     """Covariance of the twist: vx vy, vy vy, vy w in m2/s2, m2/s2, m rad/s2."""
     position_setpoints_rad: Doubles8 = ()
     """Set-point of each joint that takes positions; NaN: no set-point."""
     misaligned_rad: float = 0.0
-    """Angle between where the worst steered wheel points and where it should roll. Infinity: not
-    known yet."""
+    """Angle by which the worst steered wheel is off its aim. Infinity: not known yet."""
     position_joints: U32 = 0
     """Bit n: joint n takes positions, and its `position_rad` is its angle."""
     position_unknown: U32 = 0
@@ -71,7 +69,7 @@ class Snapshot(PlainSnapshot):
     version: int = SNAPSHOT_VERSION
 
     def to_json(self) -> dict[str, Any]:
-        """Return a dict for json.dumps(allow_nan=False): NaN and infinities become None, tuples
+        """Return a dict for json.dumps(allow_nan=False): NaN and infinity are None, tuples are
         lists."""
         return _record(self)
 
@@ -82,8 +80,7 @@ def derated_by(number: int) -> str:
 
 
 def gyro_word(state: int) -> str:
-    """Return the word for `state` of the C core's imu_state; an unknown number is shown as a
-    number."""
+    """Return the word for `state` of the C core's imu_state; with its number if it is unknown."""
     return GYRO_STATES[state] if state < len(GYRO_STATES) else f"state {state}"
 
 

@@ -51,8 +51,8 @@ class Odometry:
     lateral_m_s: float = NAN
     """Positive to the left; 0 for a base that cannot move sideways."""
     slip_m_s: float = NAN
-    """Speed of the rims against each other, root mean square: the part that no motion of the base
-    explains."""
+    """Speed of the rims against each other that no motion of the base explains, root mean
+    square."""
     pose_covariance: tuple[float, ...] = ()
     """xx, xy, xh, yy, yh, hh in m2, m rad, rad2."""
     twist_covariance: tuple[float, ...] = ()
@@ -232,8 +232,7 @@ class Status(dict[str, Any]):
     inputs: tuple[Commander, ...] = ()
     commands: Commands = field(default_factory=Commands)
     publishers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Counters of the daemon's own publishers: "taken", "dropped", and "topics" by name with rate
-    and count."""
+    """Counters of the daemon's own publishers: "taken", "dropped", and "topics" by their names."""
     bus: Mapping[str, Any] | None = None
     """Status of the second process, motord-bus; None: the robot file has no bus."""
     stalls: Mapping[str, Any] = field(default_factory=dict)

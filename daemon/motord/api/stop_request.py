@@ -55,8 +55,7 @@ def try_send(sender: socket.socket, local_socket: Path, method: str) -> bool:
 
 
 def send(local_socket: Path, method: str, within_s: float) -> None:
-    """Send the request, again while the receive queue is full. Raises OSError like `try_send`, and
-    TimeoutError."""
+    """Send the request; retry while the receive queue is full. Raises OSError and TimeoutError."""
     end_s = time.monotonic() + within_s
     with open_sender() as sender:
         while not try_send(sender, local_socket, method):

@@ -97,8 +97,7 @@ class LazyGroup(click.Group):
         return list(COMMANDS)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Complete names of commands from the table, so that no command is imported for its
-        name."""
+        """Complete names of commands from the table, without an import of any command."""
         names = [
             CompletionItem(name, help=text)
             for name, (_, text) in COMMANDS.items()

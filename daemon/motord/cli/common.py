@@ -135,8 +135,7 @@ def load_or_exit(
     overrides: Sequence[str] = (),
     warn: Callable[[str], None] = _to_stderr,
 ) -> Robot:
-    """Load the robot file. Problems go to stderr and end the command; warnings only go to
-    `warn`."""
+    """Load the robot file. Its problems end the command, on stderr; its warnings go to `warn`."""
     from motord.config import ConfigError, load_robot
 
     try:

@@ -19,8 +19,7 @@ Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
 
 def _completing(names: Callable[[click.Context], Iterable[tuple[str, str]]]) -> Complete:
-    """Return a completion: of the names, with a help text each, those that begin with the typed
-    text."""
+    """Return a completion: those of the names, with their help texts, that begin as typed."""
 
     def complete(ctx: click.Context, _: click.Parameter, typed: str) -> list[CompletionItem]:
         try:

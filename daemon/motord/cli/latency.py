@@ -169,8 +169,8 @@ def warn(sentence: str) -> None:
 
 
 class ProgressLine:
-    """Progress of a measurement: on a terminal one line that is overwritten, otherwise a line every
-    few seconds."""
+    """Progress on stderr: one line that is overwritten on a terminal, else a line every few
+    seconds."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
@@ -239,8 +239,7 @@ def table(report: LatencyReport) -> str:
 
 
 def verdict_lines(report: LatencyReport, verdict: Verdict) -> list[str]:
-    """Return the causes of late ticks, the greatest share first, and what changed with each
-    trial."""
+    """Return the causes of late ticks, greatest share first, and what changed with each trial."""
     late = verdict.late_ticks + verdict.late_lost
     found = f"{late} ticks more than {verdict.late_from_us:g} µs late: {verdict.late_per_s:.1f} /s"
     lines = ["", found, *([verdict.note] if verdict.note else [])]

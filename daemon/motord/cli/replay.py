@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord replay`: run a recording through the core again, and show it on the buses of a robot
-file."""
+"""`motord replay`: run a recording through the core again, and publish it by a robot file."""
 
 from __future__ import annotations
 
@@ -107,8 +106,7 @@ class _Player:
 
 @contextlib.contextmanager
 def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
-    """Open a state page with the name of that robot, and start the process that publishes it on the
-    buses."""
+    """Open a state page with that robot's name, and start the process that publishes it."""
     from motord.api.page_file import PageInUse
     from motord.realtime.replay import ReplayPage
 

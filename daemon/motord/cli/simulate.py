@@ -290,8 +290,7 @@ def _wheel(robot: Robot, name: str, joint: Joint) -> WheelSpec:
 
 
 def _row(robot: Robot, joint: Joint) -> WheelRow | None:
-    """Return the row of a wheel of a base that moves sideways by its rollers; None: another
-    base."""
+    """Return the wheel's row if the base moves sideways by its rollers; None: another base."""
     rollers = robot.base.strafes and not isinstance(robot.base, SteeredBase)
     return wheel_row(robot.base, joint) if rollers else None
 

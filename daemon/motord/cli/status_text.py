@@ -164,8 +164,7 @@ def _line(line: dict[str, Any]) -> str:
 
 
 def commanders_text(inputs: Sequence[Mapping[str, Any]]) -> str:
-    """Return the sources that may command, the highest priority first; `inputs` as in the answer of
-    `status`."""
+    """Return the sources that may command, by falling priority; `inputs` as `status` has them."""
     rows = sorted(inputs, key=lambda source: -source["priority"])
     texts = (f"{row['name']} ({row['kind']}, priority {row['priority']})" for row in rows)
     return ", ".join(texts) or "no source: every input of the robot file is switched off"

@@ -35,8 +35,7 @@ class Terminal:
     aborts. It is a context manager that restores the terminal and the signal handlers."""
 
     def __init__(self, *, yes: bool = False) -> None:
-        """`yes`: every yes-or-no question is answered with yes; other questions still need an
-        answer."""
+        """`yes`: answer every yes-or-no question with yes; other questions still need an answer."""
         self._yes = yes
         self._keys = sys.stdin.isatty()
         self._cooked: list[Any] | None = None

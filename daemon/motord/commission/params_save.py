@@ -18,8 +18,8 @@ _ROUNDS = 2
 
 
 def put_in_force(edit: RobotFileEdit, in_force: Mapping[str, float | None]) -> dict[str, float]:
-    """Write the limits and gains in force that the file does not have to it; returns them by name.
-    `in_force`: the answer of `params.get`; null: no limit. Raises ConfigError, Failed."""
+    """Add to the file those limits and gains in force that it does not have; returns them by name.
+    `in_force`: the answer of `params.get`; None: no limit. Raises ConfigError, Failed."""
     wanted = {name: math.inf if value is None else value for name, value in in_force.items()}
     if other := [name for name in wanted if not name.startswith((LIMITS, JOINT))]:
         raise Failed(

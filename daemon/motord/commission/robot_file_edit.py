@@ -42,8 +42,7 @@ class RobotFileText:
     """One robot file with its new text, which `save` writes to disk."""
 
     def __init__(self, path: Path, text: str | None = None) -> None:
-        """`text`: the new text; None: that of the file. Raises EditError for a file that cannot be
-        read."""
+        """`text`: the new text; None: that of the file. Raises EditError for an unreadable file."""
         self.path = path.resolve()  # the file itself: `save` must not replace a link to it
         try:
             self._found = bounded.read(self.path)
@@ -187,7 +186,7 @@ def _with(values: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
 
 
 def _meaning(values: dict[str, Any]) -> str:
-    """Return a text that is equal for files that mean the same, in any order of keys; NaN equals
+    """Return a text that is equal for files of equal meaning, in any order of keys; NaN equals
     NaN."""
     return json.dumps(values, sort_keys=True, default=str)
 

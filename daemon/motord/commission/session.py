@@ -158,8 +158,8 @@ class Session:
             raise Failed("another program has disarmed the robot")
 
     def _faulty(self, found: list[Snapshot]) -> Held:
-        """Return what was recorded before a fault stopped the robot. Raises Failed for an emergency
-        stop."""
+        """Return what was recorded before a fault stopped the robot. Raises Failed for an
+        e-stop."""
         faults = found[-1].faults
         if "estop" in faults:
             raise Failed("the emergency stop was pressed: release it, then motord reset")

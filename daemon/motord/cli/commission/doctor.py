@@ -118,8 +118,7 @@ def _all(root: Root, robot: Robot | None, path: Path | None, *, drives: bool) ->
 def _running(
     robot: Robot | None, path: Path | None, cleanup: contextlib.ExitStack
 ) -> Client | None:
-    """Return the daemon of the robot file, or the only one on this machine. None: it does not
-    run."""
+    """Return the daemon of the robot file, or the only one on this machine; None: no daemon."""
     try:
         where = path or find_socket(robot.robot.name if robot is not None else None)
         return cleanup.enter_context(Client(where))

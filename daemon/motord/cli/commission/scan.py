@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
 
 def _units(_context: click.Context, _option: click.Parameter, text: str) -> range:
-    """Parse `7` or `1-32`. Servos have the largest range of units; drives on Modbus have 1 to
-    247."""
+    """Parse `7` or `1-32`. The range is that of servos, the largest; Modbus has 1 to 247."""
     from motord_hal.servo.packets import UNIT_MAX
 
     first, _, last = text.partition("-")

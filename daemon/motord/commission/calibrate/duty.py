@@ -31,8 +31,7 @@ HOLD_S, STEADY_S = 2.5, 0.8
 STANDS_RAD_S = 0.1
 POINTS_MIN = 4
 MISFIT_MAX = 0.05
-"""Greatest root mean square of the residuals, as a part of the greatest speed; more is not a
-line."""
+"""Greatest root mean square of the residuals of a line, as a part of the greatest speed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy of the gyro: its offset at rest, and its scale by turns that end at a mark on the
-floor."""
+"""Accuracy of the gyro: its offset at rest, and its scale by turns that end at a mark."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ class GyroFound:
 def measure_gyro(
     client: Client, person: Person, robot: Robot, turns: float, angular_rad_s: float
 ) -> GyroFound:
-    """Turn to the left and to the right, and ask for the angle to the mark. Raises Failed,
-    Aborted."""
+    """Turn left and right, and ask for the angle to the mark. Raises Failed, Aborted."""
     if robot.imu is None:
         raise Failed("the robot file has no [imu]")
     if not person.confirm(

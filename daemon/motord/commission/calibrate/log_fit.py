@@ -71,8 +71,7 @@ def read_csv(path: Path, sides: Mapping[str, str], radii_m: Mapping[str, float])
 def sides_of(
     angles_rad: Array, sides: Mapping[str, str], radii_m: Mapping[str, float]
 ) -> tuple[Array, Array]:
-    """Return the distances that left and right have rolled, from a column of wheel angles for each
-    joint."""
+    """Return the distances rolled by left and right. `angles_rad`: a column for each joint."""
     rolled: dict[str, list[Array]] = {"left": [], "right": []}
     for place, (name, side) in enumerate(sides.items()):
         rolled[side].append(angles_rad[:, place] * radii_m[name])

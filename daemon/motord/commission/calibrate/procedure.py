@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A calibration, from the first question to the keys of the robot file, which the caller writes.
-Needs numpy."""
+"""A calibration, from the first question to the changed keys; the caller writes the file. Needs
+numpy."""
 
 from __future__ import annotations
 

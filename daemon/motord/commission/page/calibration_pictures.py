@@ -30,8 +30,7 @@ def pictures(robot: Robot, found: Calibration) -> Iterator[Plot]:
 
 # --------------------------------------------------------------------------------------- geometry
 def path(measure: Measure, track_m: float, factors: Factors) -> tuple[Array, Array]:
-    """Return the path on which the wheels have carried the base: x and y, exact for arcs to the
-    second order."""
+    """Return the path of the base by its wheels: x and y, exact for arcs to the second order."""
     left = np.diff(measure.left_m) * factors.left
     right = np.diff(measure.right_m) * factors.right
     turn = (right - left) / (track_m * factors.track)

@@ -93,8 +93,7 @@ class PagePerson:
         return self._ask(question, about, finite)
 
     def aborted(self) -> bool:
-        """Return whether the procedure was stopped or the page is gone; once true, it remains
-        so."""
+        """Return whether the procedure was stopped or the page is gone; once true, it stays so."""
         with self._changed:
             silent_s = time.monotonic() - self._present_s
             if not self._stopped and not silent_s <= PRESENT_S:

@@ -75,8 +75,7 @@ def _checked(edit: RobotFileText) -> dict[str, Any]:
 
 
 def _profiles_elsewhere(edit: RobotFileText) -> Iterator[Problem]:
-    """Return the drives whose profiles must not be read for a page. Raises ConfigError if the text
-    is not TOML."""
+    """Return drives whose profiles a page must not have read. Raises ConfigError for bad TOML."""
     known: set[str] = set()
     if edit.changed:
         try:

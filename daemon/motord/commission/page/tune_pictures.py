@@ -37,8 +37,7 @@ def plot_responses(file: Path, tuned: Tuned) -> None:
 
 
 def pictures_of_steps(tuned: Tuned) -> Iterator[Plot]:
-    """Return plots of the fastest step before and after, and of what the identified model leaves
-    over."""
+    """Return plots of the fastest step before and after, and of the error of the model."""
     before, after = _fastest(tuned.before_runs), _fastest(tuned.after_runs)
     time, speed = axis("time", "s"), axis("speed of the wheel", "rad/s")
     yield {

@@ -123,8 +123,7 @@ def _places(person: Person, given: Given, kind: str) -> list[tuple[str, dict[str
 def usual_addresses(
     count: int, units: Sequence[int], channels: Sequence[int]
 ) -> list[tuple[int, int]]:
-    """Return the usual unit and channel of each wheel: all channels of the first unit, then of the
-    next."""
+    """Return the usual addresses: all channels of the first unit, then those of the next one."""
     each = channels if len(channels) > 1 else channels[:1]
     needed = math.ceil(count / len(each))
     found = list(units)[:needed]
@@ -182,8 +181,7 @@ def plausible_number(
     span: tuple[float, float],
     aloud: Callable[[float], str],
 ) -> float:
-    """Ask for a number, and make the person confirm an unusual one. An unusual option is only
-    shown."""
+    """Ask for a number, and confirm an unusual one. An unusual option is only shown."""
     while True:
         value = asked(person, given, question, unit, *span)
         if usual[0] <= value <= usual[1]:

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ports of this machine to which drives can be connected: serial ports, CAN interfaces, PWM
-chips."""
+"""Ports to which drives can be connected: serial ports, CAN interfaces, PWM chips."""
 
 from __future__ import annotations
 

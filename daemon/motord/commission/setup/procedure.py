@@ -211,8 +211,7 @@ def _drive(
 
 
 def _profile(name: str, place: Place | None) -> DriveProfile:
-    """Load a profile. Raises Failed if there is no such profile, or if it does not fit the
-    place."""
+    """Load a profile. Raises Failed if it does not exist or does not fit the place."""
     try:
         profile = find_profile(name)
     except ProfileError as error:
@@ -315,8 +314,7 @@ def _steering(
     line: Mapping[str, Any],
     file: Path,
 ) -> tuple[Steering, dict[str, Any] | None]:
-    """Ask for the drives that steer. The second result is their line; None: that of the other
-    drives."""
+    """Ask for the drives that steer. The second result is their line; None: they share one."""
     where = given.steering_place or (
         SAME if place is None or given.steering_drive is not None
         else person.text("Where are the drives that steer connected?", SAME)

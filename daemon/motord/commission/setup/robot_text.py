@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write a robot file from answers: commented, without a publisher, as fast as its line can
-carry."""
+"""Write a robot file from answers: commented, without a publisher, as fast as its line carries."""
 
 from __future__ import annotations
 
@@ -22,8 +21,7 @@ _DECELERATION, _ACCELERATION_S = 1.5, 1.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wheel:
-    """One joint: its name, the keys that place it on the base, the address of its motor, further
-    keys."""
+    """One joint: its name, the keys of its place on the base, its motor's address, further keys."""
 
     name: str
     placed: Mapping[str, Any]

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conclusions from the first turns of the wheels: wires, encoders and keys of the file that are
-wrong."""
+"""Conclusions from the first turns of the wheels: wrong wires, encoders and keys of the file."""
 
 from __future__ import annotations
 
@@ -185,8 +184,7 @@ def _scale(robot: Robot, turned: Turned, found: Findings) -> None:
 
 # --------------------------------------------------------------------------------------- the wheels
 def _wheels(robot: Robot, turns: Sequence[Turned], found: Findings) -> None:
-    """Find out which joint's address turns which wheel, and give each wheel its address in the
-    file."""
+    """Find out which joint's address turns which wheel, and give the file the right addresses."""
     seen = [turned for turned in turns if turned.seen]
     swapped = [turned for turned in seen if turned.seen != turned.joint]
     for turned in swapped:

@@ -65,8 +65,7 @@ class Turned:
     """Joint that the person saw turn; empty: no joint."""
     direction: Direction = "not at all"
     steers: bool = False
-    """Whether the joint points its wheel; `forward` then means the side to which it should
-    point."""
+    """Whether the joint points its wheel; `forward` then means to the correct side."""
     off_straight_rad: Mapping[str, float] = field(default_factory=dict)
     """For a joint that steers: by wheel, how far to the left it pointed when it should have pointed
     straight ahead."""
@@ -137,8 +136,7 @@ def rim_within_limits(session: Session, twist: tuple[float, float, float], rim_m
 
 
 def both_times(turns: Sequence[Turned]) -> Turned:
-    """Combine several turns of one wheel into one: the least angles that were commanded and
-    counted."""
+    """Combine turns of one wheel: the least angles that were commanded and counted."""
     first = turns[0]
     currents_a = [one.current_max_a for one in turns if one.current_max_a is not None]
     return replace(
@@ -186,7 +184,7 @@ def _counted_rad(first: Snapshot, last: Snapshot, index: int) -> float:
 def ask_what_turned(
     person: Person, turned: Turned, others: Sequence[str], every_time: str = ""
 ) -> Turned:
-    """Return the same with the person's answer. `every_time`: words for a wheel that turned
+    """Return the same with the person's answer. `every_time`: words for a wheel that turns
     twice."""
     answers = ["forward", "backward", "none", *(["other"] if others else [])]
     answer = person.choose(f"Did the {turned.joint} wheel turn forward{every_time}?", answers)
@@ -204,8 +202,7 @@ def ask_what_turned(
 
 
 def require_idle_ground(client: Client, person: Person, speed_rad_s: float, seconds: float) -> None:
-    """Check that the robot is idle, and make the person confirm that the wheels are free. Raises
-    Failed."""
+    """Check that the robot is idle, and confirm that its wheels are free. Raises Failed."""
     require_idle(client)
     fastest_rad_s, longest_s = OPTIONS["wheel_rad_s"].high, OPTIONS["seconds"].high
     if not 0.0 < speed_rad_s <= fastest_rad_s or not 0.0 < seconds <= longest_s:

@@ -45,8 +45,7 @@ from motord.commission.spin.steered_poses import (
 )
 
 POINTING_RAD_S = 0.3
-"""Speed of the fastest wheel while wheels are pointed; the wheels do not roll until they point
-there."""
+"""Speed of the fastest wheel while wheels are pointed; no wheel rolls until they point there."""
 POINTED_RAD, POINTED_WITHIN_S = 0.03, 5.0
 OFF_MAX_DEGREES = 90.0
 
@@ -95,8 +94,7 @@ class _Run:
 
     # ---------------------------------------------------------------------------------- steering
     def steer(self, names: Sequence[str]) -> list[Turned]:
-        """Point the wheels straight ahead, then to each pose; the person answers where each one
-        points."""
+        """Point the wheels straight ahead, then to each pose, and ask where each one points."""
         at_zero = self._point("straight ahead", straight(self._modules))
         off_rad = {name: self._off_straight(name) for name in names}
         poses = poses_of(self._modules, strafes=self._strafes)
@@ -160,7 +158,7 @@ class _Run:
 
     # ----------------------------------------------------------------------------------- traction
     def roll(self, names: Sequence[str]) -> list[Turned]:
-        """Turn all wheels forward; then, if the base can strafe, turn it about each wheel, which
+        """Turn all wheels forward; then, if the base can, turn it about each wheel, which
         stands."""
         if not names:
             return []
@@ -181,8 +179,7 @@ class _Run:
         return [self._placed(turned, found, driven) for turned in found]
 
     def _placed(self, turned: Turned, seen: Sequence[Turned], driven: Sequence[str]) -> Turned:
-        """Find the wheel that this joint turns: the one that stands while the base turns about
-        it."""
+        """Find the wheel that this joint turns: it stands while the base turns about it."""
         self._person.show(f"Now the base turns about {turned.joint}, whose wheel is to stand")
         pose = standing(self._modules, turned.joint)
         self._held(lambda session: self._rolled(session, pose))
@@ -202,8 +199,7 @@ class _Run:
         )  # fmt: skip
 
     def _held(self, motion: Callable[[Session], Held], faults: Iterable[str] = ()) -> Held:
-        """Run a motion while armed. `faults`: those that may have ended it. Raises Failed after any
-        other."""
+        """Run a motion while armed. Raises Failed if faults other than `faults` have ended it."""
         with armed(self._client, self._person, OWNER) as session:
             held = motion(session)
             require_only(faults, session, held)

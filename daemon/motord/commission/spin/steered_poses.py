@@ -26,8 +26,7 @@ _RANGE_PART = 0.8
 
 @dataclass(frozen=True, slots=True)
 class Module:
-    """A wheel from the daemon's answer of `robot`; the name of a joint that it does not have is
-    empty."""
+    """A wheel from the daemon's answer of `robot`; a joint that it does not have is empty."""
 
     x_m: float
     y_m: float
@@ -59,8 +58,7 @@ STRAIGHT_TWIST = (1.0, 0.0, 0.0)
 
 
 def modules_of(robot: Mapping[str, Any]) -> list[Module]:
-    """Return the wheels from the daemon's answer of `robot`; empty: the base has no steered
-    wheels."""
+    """Return the wheels from the daemon's answer of `robot`; empty: no steered wheels."""
     return [
         Module(**(one | {"range_rad": tuple(one["range_rad"])})) for one in robot.get("modules", ())
     ]

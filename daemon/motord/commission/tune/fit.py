@@ -156,8 +156,7 @@ def response_of(runs: Sequence[Run]) -> Response:
 
 
 def identify(name: str, runs: Sequence[Run]) -> Plant:
-    """Return the model of the wheel. Raises Failed if the data do not determine it or fit no such
-    model."""
+    """Return the model of the wheel. Raises Failed if the data do not determine it or fit it."""
     points = sum(len(run.measured_s) for run in runs)
     fastest = max((float(np.max(np.abs(run.speed_rad_s), initial=0.0)) for run in runs), default=0)
     wanted = max((float(np.max(np.abs(run.want_rad_s), initial=0.0)) for run in runs), default=0)

@@ -49,8 +49,7 @@ LEVELS = (0.5, 1.0)
 SPEED, STEP = OPTIONS["rim_m_s"], OPTIONS["step_s"]
 LOOK_EVERY_S = 0.01
 TURNS_PART_MIN = 0.3
-"""Least speed of the rim as a part of the base's straight motion; below it the base turns on the
-spot."""
+"""Least part of the base's straight motion that a rim follows; below it the base turns instead."""
 DISTANCE_MARGIN = 1.5
 TRIES = 3
 """How often the steps are driven if the computer is too busy to record them."""
@@ -94,7 +93,7 @@ class Tuned:
 
 
 def tunable(robot: Robot, name: str) -> None:
-    """Check that motord controls the speed of this wheel. Raises Failed, with what controls it
+    """Check that motord controls this wheel's speed. Raises Failed, with what controls it
     instead."""
     if name not in robot.joint:
         raise Failed(f'no joint "{name}": known are {", ".join(robot.joint)}')
@@ -222,7 +221,7 @@ class Tuning:
         )
 
     def _twist(self, rim_m_s: float) -> tuple[float, float]:
-        """Return linear and angular velocity of a twist in which the rim of this wheel has this
+        """Return linear and angular velocity of a twist in which this wheel's rim has this
         speed."""
         row = wheel_row(self._robot.base, self._robot.joint[self._name])
         if abs(row.x) >= TURNS_PART_MIN:
@@ -277,8 +276,7 @@ class Tuning:
 
 
 def run_of(snapshots: tuple[Snapshot, ...], index: int, *, duty: bool) -> Run:
-    """Return the samples of one wheel, each measure once. Raises Failed for a wheel that measures
-    no speed."""
+    """Return the samples of one wheel, each measure once. Raises Failed if it measures no speed."""
     begin_ns = snapshots[0].stamp_ns
     times: list[float] = []
     measured: list[float] = []
