@@ -33,7 +33,7 @@ class GyroFound:
 def measure_gyro(
     client: Client, person: Person, robot: Robot, turns: float, angular_rad_s: float
 ) -> GyroFound:
-    """Turn left and right, and ask for the angle to the mark. Raises Failed, Aborted."""
+    """Turn left and right, and request the angle to the mark. Raises Failed, Aborted."""
     if robot.imu is None:
         raise Failed("the robot file has no [imu]")
     if not person.confirm(

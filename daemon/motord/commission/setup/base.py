@@ -26,7 +26,7 @@ SKID_SLIP_FACTOR = 1.5
 
 
 def base_of(person: Person, given: Given) -> dict[str, Any]:
-    """Ask for the keys of [base] and return them, kind first. Raises Failed, Aborted."""
+    """Request the keys of [base] and return them, kind first. Raises Failed, Aborted."""
     kind = given.base or person.choose(
         "Which base? differential: two driven sides, casters follow. skid: wheels on two sides "
         "that scrub. mecanum: four wheels with rollers at 45 degrees. omni: three or more wheels "
@@ -168,7 +168,7 @@ def plausible(
     span: tuple[float, float],
     aloud: Callable[[float], str],
 ) -> float:
-    """Ask for a length like `plausible_number`."""
+    """Request a length like `plausible_number`."""
     return plausible_number(person, given, question, "m", usual, span, aloud)
 
 
@@ -181,7 +181,7 @@ def plausible_number(
     span: tuple[float, float],
     aloud: Callable[[float], str],
 ) -> float:
-    """Ask for a number, and confirm an unusual one. An unusual option is only shown."""
+    """Request a number, and confirm an unusual one. An unusual option is only shown."""
     while True:
         value = asked(person, given, question, unit, *span)
         if usual[0] <= value <= usual[1]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guided set-up of `motord init`: it finds the drives and asks the remaining questions."""
+"""The guided set-up of `motord init`: it finds the drives; a person answers the other questions."""
 
 from __future__ import annotations
 
@@ -314,7 +314,7 @@ def _steering(
     line: Mapping[str, Any],
     file: Path,
 ) -> tuple[Steering, dict[str, Any] | None]:
-    """Ask for the drives that steer. The second result is their line; None: they share one."""
+    """Request the drives that steer. The second result is their line; None: they share one."""
     where = given.steering_place or (
         SAME if place is None or given.steering_drive is not None
         else person.text("Where are the drives that steer connected?", SAME)

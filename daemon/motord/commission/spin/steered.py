@@ -125,7 +125,7 @@ class _Run:
         return found
 
     def _point(self, title: str, pose: Pose) -> dict[str, float]:
-        """Point the wheels and return the angles of the steering joints when they have arrived."""
+        """Point the wheels, for POINTED_WITHIN_S at most; return the steering joints' angles."""
         places = {name: self._wheels[name].index for name in self.steering}
 
         def there(newest: Snapshot) -> bool:

@@ -52,7 +52,7 @@ TURNS_PART_MIN = 0.3
 """Least part of the base's straight motion that a rim follows; below it the base turns instead."""
 DISTANCE_MARGIN = 1.5
 TRIES = 3
-"""How often the steps are driven if the computer is too busy to record them."""
+"""How often the steps are driven at most; a busy computer may fail to record them."""
 _GAIN_WORDS = re.compile(r"gain|pid|(^|_)k[pid]($|_)")
 
 
