@@ -74,7 +74,7 @@ class Client:
         return self._path
 
     async def __aenter__(self) -> Self:
-        """Raises ClientError."""
+        """Connect. Raises ClientError."""
         await self.open()
         return self
 
@@ -94,7 +94,8 @@ class Client:
             raise ClientError(f"{where}: no connection within {self.timeout_s:g} s") from error
 
     async def _connect(self, path: Path) -> None:
-        """Retries while the daemon's queue of connections is full. The caller sets the deadline."""
+        """Connect; retry while the daemon's queue of connections is full. The caller sets the
+        deadline."""
         try:
             with contextlib.ExitStack() as unless_kept:
                 connection = socket.socket(
@@ -115,7 +116,7 @@ class Client:
             raise ClientError(why_unreachable(path, error)) from error
 
     async def close(self) -> None:
-        """Ends every lease of this connection."""
+        """Close the connection, which ends all its leases."""
         streams, self._streams = self._streams, None
         if streams is None:
             return
@@ -125,7 +126,7 @@ class Client:
                 await streams[1].wait_closed()
 
     async def ended(self) -> None:
-        """Return when the daemon has closed the connection. No call is made meanwhile. Raises
+        """Return when the daemon has closed the connection. Make no call meanwhile. Raises
         ClientError."""
         if self._streams is None:
             raise ClientError(f"the connection to {self.path} is closed")
@@ -139,7 +140,8 @@ class Client:
             raise ClientError(f"{self.path}: {error.strerror or error}") from error
 
     async def call(self, method: str, /, **params: Any) -> Any:
-        """Any method by name. Raises Refused, or ClientError for everything else."""
+        """Call any method by name and return its result. Raises Refused, or ClientError for
+        everything else."""
         try:
             async with within(self.timeout_s), self._turn:
                 return await self._ask(method, params)
@@ -154,8 +156,8 @@ class Client:
             raise ClientError(f"{method}: {self.path}: {error.strerror or error}") from error
 
     async def _ask(self, method: str, params: dict[str, Any]) -> Any:
-        """A request whose caller was cancelled is sent whole all the same; its answer is dropped by
-        the next call."""
+        """Send a request and return its result. It is sent whole even if its caller is cancelled;
+        the next call then drops its answer."""
         path = self.path
         if self._streams is None:
             raise ClientError(f"{method}: the connection to {path} is closed")
@@ -170,7 +172,7 @@ class Client:
                 return result_of(answer)
 
     async def status(self) -> Status:
-        """Everything the daemon knows about itself and the robot, typed; also a dict."""
+        """Return everything the daemon knows about itself and the robot, typed; also a dict."""
         return Status.of(await self.call("status"))
 
     async def drive(
@@ -183,8 +185,8 @@ class Client:
         priority: int | None = None,
         lease_s: float | None = None,
     ) -> dict[str, Any]:
-        """Request a speed; `lateral_m_s` is to the left, of a base that moves sideways. None: as in
-        the [input] of the robot file. Returns the source in command."""
+        """Request a speed; `lateral_m_s` is to the left, for a base that moves sideways. None: the
+        value in the robot file's [input]. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         params = drive_params(linear_m_s, angular_rad_s, lateral_m_s, **lease)
         return dict(await self.call("drive", **params))
@@ -199,8 +201,8 @@ class Client:
         lease_s: float | None = None,
     ) -> dict[str, Any]:
         """Request positions and speeds of joints without a base, by their names. A joint that is
-        left out comes to rest or, where it takes positions, goes on to the one that this owner has
-        requested, as long as commands come. Returns the source in command."""
+        left out comes to rest or, if it takes positions, goes on to its last position from this
+        owner, as long as commands come. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         params = joints_params(position_rad, velocity_rad_s, **lease)
         return dict(await self.call("joints", **params))
@@ -215,7 +217,7 @@ class Client:
         timeout_s: float | None = None,
         owner: str | None = None,
     ) -> Moved:
-        """As motord.client.Client.move."""
+        """Drive a distance: see motord.client.Client.move."""
         goal = moving.goal_of(
             "linear", distance_m, speed_m_s, tolerance_m, timeout_s, direction_rad
         )
@@ -230,7 +232,7 @@ class Client:
         timeout_s: float | None = None,
         owner: str | None = None,
     ) -> Moved:
-        """As motord.client.Client.turn."""
+        """Turn on the spot: see motord.client.Client.turn."""
         goal = moving.goal_of("angular", angle_rad, speed_rad_s, tolerance_rad, timeout_s)
         return await self.carry_out(goal, owner=owner)
 
@@ -242,8 +244,8 @@ class Client:
         watch: moving.Watch = moving.unwatched,
         canceled: moving.Canceled = moving.never_canceled,
     ) -> Moved:
-        """As motord.client.Client.carry_out. A task that is cancelled gives the lease back, and the
-        robot comes to rest by its ramp."""
+        """Carry out a goal: see motord.client.Client.carry_out. A task that is cancelled gives the
+        lease back, and the robot comes to rest by its ramp."""
         lease = {} if owner is None else {"owner": owner}
         uid = self.path.stat().st_uid
         steps = moving.procedure(goal, owner=lease, daemon_uid=uid, watch=watch, canceled=canceled)
@@ -261,7 +263,7 @@ class Client:
                     onward = functools.partial(steps.throw, error)
         finally:
             steps.close()
-            with contextlib.suppress(ClientError):  # it lapses
+            with contextlib.suppress(ClientError):  # the lease expires by itself
                 await self.release(owner)
 
     async def _perform(self, step: moving.Call | moving.Pause) -> Any:
@@ -271,60 +273,62 @@ class Client:
         return None
 
     async def release(self, owner: str | None = None) -> None:
-        """Give the lease back before it lapses."""
+        """Give the lease back before it expires."""
         await self.call("release", **({} if owner is None else {"owner": owner}))
 
     async def arm(self) -> str:
-        """Put the drives under power at zero speed. Returns the state, as all of these do."""
+        """Put the drives under power at zero speed. Returns the state, like all methods below that
+        return a str."""
         return str((await self.call("arm"))["state"])
 
     async def disarm(self) -> str:
-        """Come to rest and take the power off."""
+        """Come to rest and remove the power."""
         return await self._surely("disarm")
 
     async def stop(self) -> str:
-        """Come to rest, stay armed."""
+        """Come to rest and stay armed."""
         return await self._surely("stop")
 
     async def estop(self) -> str:
-        """Emergency stop; stays until `reset`."""
+        """Trigger an emergency stop, which stays until `reset`."""
         return await self._surely("estop")
 
     async def _surely(self, method: str) -> str:
-        """By datagram first, which the real-time loop reads whatever else waits; the answer comes
-        over a connection of its own, which no other call can block."""
+        """Request it by datagram first, which the real-time loop reads even if other requests wait.
+        The answer comes over a connection of its own, which no other call can block."""
         with contextlib.suppress(OSError), stop_request.open_sender() as sender:  # or no descriptor
             await send_stop(sender, self.path, method)
         async with Client(self.path, timeout_s=self.timeout_s) as own:
             return str((await own.call(method))["state"])
 
     async def reset(self) -> str:
-        """Clear a fault or an emergency stop. Stays disarmed."""
+        """Clear a fault or an emergency stop. The robot stays disarmed."""
         return str((await self.call("reset"))["state"])
 
     async def reset_odometry(self) -> str:
-        """The pose is the origin."""
+        """Make the present pose the origin of the odometry."""
         return str((await self.call("reset_odometry"))["state"])
 
     async def params_list(self) -> dict[str, dict[str, Any]]:
-        """Every parameter with value, unit and range."""
+        """Return every parameter with value, unit and range."""
         return dict(await self.call("params.list"))
 
     async def params_get(self, *names: str) -> dict[str, float | None]:
-        """Values by name; none named: all. None: no limit."""
+        """Return the values by name, all if no name is given. None: no limit."""
         return dict(await self.call("params.get", names=names))
 
     async def params_set(self, **values: float | None) -> dict[str, float | None]:
-        """All or none: `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit."""
+        """Set limits and gains, all or none, or registers of drives, one after the other:
+        `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit."""
         return dict(await self.call("params.set", **values))
 
     async def latency(self) -> dict[str, Any]:
-        """The loop's histograms since its start, as percentiles and as buckets."""
+        """Return the loop's histograms since its start, as percentiles and as buckets."""
         return dict(await self.call("latency"))
 
 
 async def send_stop(sender: socket.socket, path: Path, method: str) -> bool:
-    """Retries while the receive queue is full. False: the daemon does not receive it."""
+    """Send the request; retry while the receive queue is full. False: the daemon is gone."""
     with contextlib.suppress(OSError, TimeoutError):
         async with within(STOP_WITHIN_S):
             while not stop_request.try_send(  # noqa: ASYNC110  nothing says when it has room

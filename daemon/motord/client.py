@@ -47,15 +47,16 @@ __all__ = [
 
 TIMEOUT_S = 10.0
 STOP_WITHIN_S = 1.0
-"""For the datagram of a stop request to find room."""
+"""Time within which the daemon's queue has to have room for a stop request."""
 CONNECT_AGAIN_S = 0.01
 ANSWER_BYTES_MAX = 1 << 20
 _OTHERS = re.compile(r"\.(stop|cmd\.\d+)\.sock$")
-"""Sockets beside the local one that take datagrams."""
+"""Ending of the sockets beside the local one that take datagrams."""
 
 
 def socket_folders(environ: Mapping[str, str] = os.environ, uid: int | None = None) -> list[Path]:
-    """Where sockets may lie, best first: the system's, the user's, and one where neither exists."""
+    """Return the folders that sockets may be in, best first: the system's, the user's, and one for
+    when neither exists."""
     uid = os.geteuid() if uid is None else uid
     folders = [Path("/run/motord")]
     if runtime := environ.get("XDG_RUNTIME_DIR"):
@@ -67,8 +68,8 @@ def socket_folders(environ: Mapping[str, str] = os.environ, uid: int | None = No
 def find_socket(
     robot: str | None = None, folders: list[Path] | None = None, *, barred: bool = True
 ) -> Path:
-    """The socket of a running daemon: of `robot`, or the only one there is; as `find_sockets`.
-    Raises ClientError."""
+    """Return the socket of the running daemon of `robot`, or of the only one that runs. `folders`
+    and `barred`: see `find_sockets`. Raises ClientError."""
     found = find_sockets(robot, folders, barred=barred)
     if robot is None and len(found) > 1:
         names = ", ".join(sorted({path.name.removesuffix(".sock") for path in found}))
@@ -79,9 +80,9 @@ def find_socket(
 def find_sockets(
     robot: str | None = None, folders: list[Path] | None = None, *, barred: bool = True
 ) -> list[Path]:
-    """The sockets of all running daemons, or of those of `robot`. `barred`: one that this user may
-    not check counts, too; the kernel refuses before it looks whether a program listens (unix(7)),
-    so its daemon may be dead. Raises ClientError where there is none."""
+    """Return the sockets of all running daemons, or of those of `robot`. `barred`: also return a
+    socket to which this user may not connect; the kernel refuses before it looks whether a program
+    listens (unix(7)), so its daemon may be dead. Raises ClientError if there is no socket."""
     found: list[Path] = []
     for folder in socket_folders() if folders is None else folders:
         with contextlib.suppress(OSError):
@@ -97,7 +98,7 @@ def find_sockets(
 
 
 def why_unreachable(path: Path, error: OSError) -> str:
-    """What keeps us from a socket, and the cure."""
+    """Return why the socket cannot be used, and the remedy."""
     if isinstance(error, PermissionError):
         cure = "run this with sudo"
         with contextlib.suppress(OSError, KeyError, ImportError):
@@ -118,8 +119,9 @@ def why_unreachable(path: Path, error: OSError) -> str:
 
 
 def trusted_owners(folder: Path) -> set[int]:
-    """Whose files are believed in a folder: ours, root's, and those of the user that root
-    has given it (a service's /run/motord): where only root writes, only root makes folders."""
+    """Return the users whose files in the folder are trusted: root, this user and, if only root can
+    write to the parent folder, the owner to which root has given the folder (a service's
+    /run/motord)."""
     above = folder.parent.stat()
     by_root = above.st_uid == 0 and not above.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     return {0, os.geteuid()} | ({folder.lstat().st_uid} if by_root else set())
@@ -163,7 +165,8 @@ class Client:
             raise ClientError(why_unreachable(self.path, error)) from error
 
     def _connect(self, end_s: float) -> None:
-        """Retries while the daemon's queue of connections, which others may fill, is full."""
+        """Connect; retry while the daemon's queue of connections, shared with other programs, is
+        full."""
         self._socket.settimeout(self.timeout_s)
         while True:
             try:
@@ -182,12 +185,12 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Ends every lease of this connection."""
+        """Close the connection, which ends all its leases."""
         self._socket.close()
 
     @property
     def connected(self) -> bool:
-        """The daemon has not closed this connection. Does not wait."""
+        """Whether the daemon has not closed this connection. Does not wait."""
         self._socket.settimeout(0.0)
         try:
             return self._socket.recv(1, socket.MSG_PEEK) != b""
@@ -197,7 +200,8 @@ class Client:
             return False
 
     def call(self, method: str, /, **params: Any) -> Any:
-        """Any method by name. Raises Refused, or ClientError for everything else."""
+        """Call any method by name and return its result. Raises Refused, or ClientError for
+        everything else."""
         end_s = time.monotonic() + self.timeout_s
         self._number += 1
         line = request_line(self._number, method, params)
@@ -211,8 +215,7 @@ class Client:
             raise ClientError(f"{method}: {self.path}: {error.strerror or error}") from error
 
     def _answer(self, end_s: float) -> Any:
-        """The result for the request in flight; answers that come too late for others are
-        dropped."""
+        """Return the result of the request in flight; drop late answers to other requests."""
         while True:
             answer = answer_to(self._number, self._line(end_s), self.path)
             if answer is not None:
@@ -234,7 +237,7 @@ class Client:
         return line
 
     def status(self) -> Status:
-        """Everything the daemon knows about itself and the robot, typed; also a dict."""
+        """Return everything the daemon knows about itself and the robot, typed; also a dict."""
         return Status.of(self.call("status"))
 
     def drive(
@@ -247,8 +250,8 @@ class Client:
         priority: int | None = None,
         lease_s: float | None = None,
     ) -> dict[str, Any]:
-        """Request a speed; `lateral_m_s` is to the left, of a base that moves sideways. None: as in
-        the [input] of the robot file. Returns the source in command."""
+        """Request a speed; `lateral_m_s` is to the left, for a base that moves sideways. None: the
+        value in the robot file's [input]. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         params = drive_params(linear_m_s, angular_rad_s, lateral_m_s, **lease)
         return dict(self.call("drive", **params))
@@ -263,8 +266,8 @@ class Client:
         lease_s: float | None = None,
     ) -> dict[str, Any]:
         """Request positions and speeds of joints without a base, by their names. A joint that is
-        left out comes to rest or, where it takes positions, goes on to the one that this owner has
-        requested, as long as commands come. Returns the source in command."""
+        left out comes to rest or, if it takes positions, goes on to its last position from this
+        owner, as long as commands come. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
         params = joints_params(position_rad, velocity_rad_s, **lease)
         return dict(self.call("joints", **params))
@@ -279,10 +282,10 @@ class Client:
         timeout_s: float | None = None,
         owner: str | None = None,
     ) -> Moved:
-        """Drive so far by the odometry, backwards for a negative number, and come to rest.
-        `direction_rad`: from straight ahead, counterclockwise, of a base that moves sideways. The
-        robot has to be armed. None: the robot's own limit, 0.01 m, twice the time it should take.
-        Raises MoveFailed where it does not get there, ValueError for a goal that cannot be."""
+        """Drive this distance by the odometry, backward for a negative one, and come to rest.
+        `direction_rad`: counterclockwise from straight ahead, for a base that moves sideways. The
+        robot has to be armed. None: the robot's own limit, 0.01 m, twice the expected time and 5 s
+        more. Raises MoveFailed if it does not get there, ValueError for an impossible goal."""
         goal = moving.goal_of(
             "linear", distance_m, speed_m_s, tolerance_m, timeout_s, direction_rad
         )
@@ -297,8 +300,8 @@ class Client:
         timeout_s: float | None = None,
         owner: str | None = None,
     ) -> Moved:
-        """Turn on the spot by that angle, to the left for a positive one; otherwise as `move`, with
-        a tolerance of 0.02 rad."""
+        """Turn on the spot by this angle, to the left for a positive one; otherwise like `move`,
+        with a tolerance of 0.02 rad."""
         goal = moving.goal_of("angular", angle_rad, speed_rad_s, tolerance_rad, timeout_s)
         return self.carry_out(goal, owner=owner)
 
@@ -310,8 +313,8 @@ class Client:
         watch: moving.Watch = moving.unwatched,
         canceled: moving.Canceled = moving.never_canceled,
     ) -> Moved:
-        """As `move` and `turn`. `watch` is called at each look, 50 times a second; when `canceled`
-        is true the robot comes to rest and MoveFailed is raised."""
+        """Carry out the goal of a `move` or `turn`. `watch` is called at each look, 50 times a
+        second; when `canceled` returns true the robot comes to rest and MoveFailed is raised."""
         lease = {} if owner is None else {"owner": owner}
         uid = self.path.stat().st_uid
         steps = moving.procedure(goal, owner=lease, daemon_uid=uid, watch=watch, canceled=canceled)
@@ -329,7 +332,7 @@ class Client:
                     onward = functools.partial(steps.throw, error)
         finally:
             steps.close()
-            with contextlib.suppress(ClientError):  # it lapses
+            with contextlib.suppress(ClientError):  # the lease expires by itself
                 self.release(owner)
 
     def _perform(self, step: moving.Call | moving.Pause) -> Any:
@@ -339,30 +342,31 @@ class Client:
         return None
 
     def release(self, owner: str | None = None) -> None:
-        """Give the lease back before it lapses."""
+        """Give the lease back before it expires."""
         self.call("release", **({} if owner is None else {"owner": owner}))
 
     def arm(self) -> str:
-        """Put the drives under power at zero speed. Returns the state, as all of these do."""
+        """Put the drives under power at zero speed. Returns the state, like all methods below that
+        return a str."""
         return str(self.call("arm")["state"])
 
     def disarm(self) -> str:
-        """Come to rest and take the power off."""
+        """Come to rest and remove the power."""
         return self._surely("disarm")
 
     def stop(self) -> str:
-        """Come to rest, stay armed."""
+        """Come to rest and stay armed."""
         return self._surely("stop")
 
     def estop(self) -> str:
-        """Emergency stop; stays until `reset`."""
+        """Trigger an emergency stop, which stays until `reset`."""
         return self._surely("estop")
 
     def _surely(self, method: str) -> str:
-        """Requested by datagram first, which the real-time loop reads whatever else waits; the
-        answer comes over a new connection where the daemon has closed this one, to make room for
+        """Request it by datagram first, which the real-time loop reads even if other requests wait.
+        The answer comes over a new connection if the daemon has closed this one to make room for
         others."""
-        with contextlib.suppress(OSError):  # a daemon without that socket, or that is gone
+        with contextlib.suppress(OSError):  # the daemon has no such socket, or has ended
             stop_request.send(self.path, method, STOP_WITHIN_S)
         if not self.connected:
             again = Client(self.path, timeout_s=self.timeout_s)
@@ -371,25 +375,26 @@ class Client:
         return str(self.call(method)["state"])
 
     def reset(self) -> str:
-        """Clear a fault or an emergency stop. Stays disarmed."""
+        """Clear a fault or an emergency stop. The robot stays disarmed."""
         return str(self.call("reset")["state"])
 
     def reset_odometry(self) -> str:
-        """The pose is the origin."""
+        """Make the present pose the origin of the odometry."""
         return str(self.call("reset_odometry")["state"])
 
     def params_list(self) -> dict[str, dict[str, Any]]:
-        """Every parameter with value, unit and range."""
+        """Return every parameter with value, unit and range."""
         return dict(self.call("params.list"))
 
     def params_get(self, *names: str) -> dict[str, float | None]:
-        """Values by name; none named: all. None: no limit."""
+        """Return the values by name, all if no name is given. None: no limit."""
         return dict(self.call("params.get", names=names))
 
     def params_set(self, **values: float | None) -> dict[str, float | None]:
-        """All or none: `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit."""
+        """Set limits and gains, all or none, or registers of drives, one after the other:
+        `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit."""
         return dict(self.call("params.set", **values))
 
     def latency(self) -> dict[str, Any]:
-        """The loop's histograms since its start, as percentiles and as buckets."""
+        """Return the loop's histograms since its start, as percentiles and as buckets."""
         return dict(self.call("latency"))

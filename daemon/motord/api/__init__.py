@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What other programs import: state, commands and stops of a running daemon. It needs the
+"""The modules for other programs: state, commands and stops of a running daemon. They need the
 standard library alone."""

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The datagram by which every command enters: docs/commands.md, csrc/api/api_command.h."""
+"""The datagram of a command, the only form in which commands enter: docs/commands.md,
+csrc/api/api_command.h."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from dataclasses import dataclass, field
 MAGIC = 0x434D544D
 VERSION = 2
 POSITIONS_VERSION = 3
-"""Of the layout that has positions."""
+"""Version of the layout that has positions."""
 TOKEN_BYTES = 16
 TWIST = 1
 RELEASE = 2
@@ -24,7 +25,7 @@ _POSITIONS_LAYOUT = struct.Struct(f"<IHH16sQqII{2 * JOINTS_MAX}dII")
 
 
 class Refusal(enum.IntEnum):
-    """Why a datagram was refused: indices of `CommandReport.refused`."""
+    """Reasons for which a datagram is refused; `CommandReport.refused` counts by them."""
 
     FORM = 0
     TOKEN = 1
@@ -39,7 +40,7 @@ class Refusal(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeaseGrant:
-    """What a source may do: the token is enough to command under it."""
+    """Rights of a source. Any program that has the token may command under it."""
 
     number: int
     """Grows with each lease, from 1."""
@@ -47,53 +48,53 @@ class LeaseGrant:
     priority: int
     lifetime_ns: int
     interval_least_ns: int = 0
-    """Commands that come more often are refused, but for zero; 0: no limit."""
+    """Commands that come more often than this are refused, except zero commands; 0: no limit."""
     barred_until_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeaseState:
-    """What the loop knows of a lease. The speeds are those that were requested."""
+    """State of a lease in the loop. The speeds are those that were requested."""
 
     number: int
     held: bool
     sequence: int
-    """0: no command has come."""
+    """Sequence number of the last command; 0: no command has come."""
     stamp_ns: int
     expires_ns: int
     since: int
-    """Order in which the leases came alive."""
+    """Position in the order in which the leases became alive."""
     priority: int
     interval_ns: int
-    """From one command to the next, smoothed; 0: fewer than two have come."""
+    """Interval between two commands, smoothed; 0: fewer than two have come."""
     linear_m_s: float
     angular_rad_s: float
     lateral_m_s: float = 0.0
     wants_motion: bool = False
-    """A value other than zero was requested."""
+    """Whether a value other than zero was requested."""
     joint_values_u: Mapping[int, float] = field(default_factory=dict)
-    """Of a robot without a base, by place: rad of a joint that takes positions, rad/s of another
-    one."""
+    """Requested value of each joint of a robot without a base, by joint index: rad for a joint that
+    takes positions, otherwise rad/s."""
 
     def fresh(self, now_ns: int) -> bool:
-        """A command of it is alive."""
+        """Return whether the last command of the lease has not expired."""
         return self.sequence != 0 and now_ns < self.expires_ns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandReport:
-    """The arbiter's report after it last looked at what came."""
+    """The arbiter's report after its last look at the received datagrams."""
 
     commander: int
-    """Number of the lease in command; 0: none."""
+    """Number of the lease in command; 0: no lease."""
     accepted: int
     refused: dict[Refusal, int]
     leases: dict[int, LeaseState]
-    """By number."""
+    """State of each lease, by its number."""
     sideways: int = 0
-    """Accepted, but for a lateral part that this base cannot do and that counts as zero."""
+    """Accepted commands whose lateral part counts as zero: this base cannot move sideways."""
     on_spot: int = 0
-    """The same of a turn on the spot."""
+    """Accepted commands whose turn on the spot counts as zero: this base cannot do it."""
 
 
 def datagram(
@@ -107,7 +108,7 @@ def datagram(
     lifetime_ms: int = 0,
     kind: int = TWIST,
 ) -> bytes:
-    """One command; `stamp_ns` is CLOCK_MONOTONIC, lifetime 0 is the lease's own."""
+    """Return a command of a twist. `stamp_ns` is CLOCK_MONOTONIC; lifetime 0: that of the lease."""
     head = (MAGIC, VERSION, kind, token, sequence, stamp_ns, lifetime_ms, 0)
     return _LAYOUT.pack(*head, linear_m_s, angular_rad_s, lateral_m_s)
 
@@ -120,7 +121,7 @@ def joint_datagram(
     *,
     lifetime_ms: int = 0,
 ) -> bytes:
-    """One command of all wheels, in the order of the robot file: at most JOINTS_MAX."""
+    """Return a command of all wheels, in the order of the robot file, at most JOINTS_MAX."""
     padded = (*velocity_rad_s, *([0.0] * (JOINTS_MAX - len(velocity_rad_s))))
     head = (MAGIC, VERSION, JOINTS, token, sequence, stamp_ns, lifetime_ms, len(velocity_rad_s))
     return _JOINTS_LAYOUT.pack(*head, *padded)
@@ -136,8 +137,9 @@ def position_datagram(
     *,
     lifetime_ms: int = 0,
 ) -> bytes:
-    """One command of joints without a base, by their place in the robot file. A joint that is left
-    out comes to rest or, where it takes positions, goes on to the one that this lease gave it."""
+    """Return a command of joints without a base, by their index in the robot file. A joint that is
+    left out comes to rest or, if it takes positions, goes on to its last position from this
+    lease."""
     head = (MAGIC, POSITIONS_VERSION, JOINTS, token, sequence, stamp_ns, lifetime_ms, joint_count)
     values = [kind.get(j, 0.0) for kind in (velocity_rad_s, position_rad) for j in _PLACES]
     masks = (sum(1 << j for j in kind) for kind in (velocity_rad_s, position_rad))

@@ -2,11 +2,11 @@
 """Wheel radii and track that explain what was measured on the floor: weighted nonlinear least
 squares (Gauss-Newton) over recorded paths of the wheels.
 
-A path is what each side has rolled by the present radii. The true base has rolled `left` and
-`right` times as much, on `track` times the track. What a square shows and a straight line does not
-is why it is driven in both directions: Borenstein & Feng, UMBmark, University of Michigan, 1994,
-and Measurement and Correction of Systematic Odometry Errors in Mobile Robots, IEEE Transactions on
-Robotics and Automation 12(6), 1996."""
+A path is the distance that each side has rolled, computed with the present radii. The true base has
+rolled `left` and `right` times as much, on `track` times the track. A square is driven in both
+directions because it shows errors that a straight line does not: Borenstein & Feng, UMBmark,
+University of Michigan, 1994, and Measurement and Correction of Systematic Odometry Errors in Mobile
+Robots, IEEE Transactions on Robotics and Automation 12(6), 1996."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 Free = Literal["scale", "ratio", "track"]
-"""Of the three unknowns: both radii together, right over left, the track."""
+"""Name of an unknown: the factor of both radii, the ratio of right to left radius, the track."""
 FREE: tuple[Free, ...] = ("scale", "ratio", "track")
 FACTOR_MIN, FACTOR_MAX = 0.8, 1.25
-"""A factor outside is no error of measurement: the distance was another one than given."""
+"""Range of a factor. Outside it a distance was given wrong; no error of measurement is as great."""
 MISFIT_MAX = 5.0
-"""Root mean square of the residuals, in their own deviations: a greater one means slip, or a wrong
-number."""
+"""Greatest root mean square of the residuals, each divided by its standard deviation; a greater one
+means slip, or a wrong number."""
 _ITERATIONS = 30
 _STEP = 1e-6
 _CONVERGED = 1e-10
 _RANK = 1e-6
-"""Least singular value over the greatest, of the scaled Jacobian."""
+"""Least ratio of the smallest to the greatest singular value of the scaled Jacobian."""
 
 
 class BadData(ValueError):
@@ -40,7 +40,7 @@ class BadData(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Factors:
-    """What the present radii and the present track are to be multiplied by."""
+    """Factors by which the present radii and the present track are to be multiplied."""
 
     left: float = 1.0
     right: float = 1.0
@@ -49,27 +49,27 @@ class Factors:
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where a path ends, from its start; NaN in a measure: not measured."""
+    """End of a path relative to its start; NaN in a measure: not measured."""
 
     x_m: float = math.nan
     y_m: float = math.nan
     heading_rad: float = math.nan
-    """All turns counted, no wrap."""
+    """Sum of all turns, not wrapped."""
     distance_m: float = math.nan
-    """Along the path; negative backward."""
+    """Length of the path; negative backward."""
 
     def values(self) -> Array:
-        """In this order."""
+        """Return the values in the order of the fields."""
         return np.array([self.x_m, self.y_m, self.heading_rad, self.distance_m])
 
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """One path with what was measured at its end. `deviation`: how exact the measure is."""
+    """One path with what was measured at its end. `deviation`: standard deviations of `found`."""
 
     name: str
     left_m: Array
-    """Rolled by the left side so far, by the present radius; from 0 on."""
+    """Distance rolled by the left side at each sample, with the present radius; begins at 0."""
     right_m: Array
     found: Pose
     deviation: Pose
@@ -77,27 +77,28 @@ class Measure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """The result, with how well it is known."""
+    """The result of `fit`, with its uncertainty."""
 
     factors: Factors
     deviations: Factors
-    """Standard deviations of the factors; 0: was not free."""
+    """Standard deviations of the factors; 0: the factor was not free."""
     residuals: tuple[Pose, ...]
     """Measured minus predicted, of each measure."""
     residuals_before: tuple[Pose, ...]
-    """The same with the present geometry."""
+    """Measured minus predicted with the present geometry, of each measure."""
     misfit: float
-    """Root mean square of the residuals in their deviations; NaN: nothing is left over."""
+    """Root mean square of the residuals, each divided by its standard deviation; NaN: there are not
+    more measured values than unknowns."""
 
 
 def end_pose(left_m: Array, right_m: Array, track_m: float, factors: Factors) -> Pose:
-    """Where a base that rolls so ends."""
+    """Return the pose in which a base with these wheel paths and factors ends."""
     stack = _Stack([Measure("", left_m, right_m, Pose(), Pose())], track_m)
     return Pose(*stack.ends(factors)[0].tolist())
 
 
 class _Stack:
-    """All measures as arrays, a row each; shorter paths stand still at their end."""
+    """All measures as arrays with a row each; shorter paths stand still at their end."""
 
     def __init__(self, measures: Sequence[Measure], track_m: float) -> None:
         longest = max(len(each.left_m) for each in measures) - 1
@@ -112,7 +113,7 @@ class _Stack:
         self._weights = np.where(self.known, 1.0 / deviations, 0.0)
 
     def ends(self, factors: Factors) -> Array:
-        """Predicted poses: an exact arc between two samples, as in
+        """Return the predicted poses: an exact arc between two samples, as in
         csrc/core/kinematics/odometry.c."""
         left, right = self._left * factors.left, self._right * factors.right
         forward, turn = (left + right) / 2.0, (right - left) / (self._track_m * factors.track)
@@ -122,17 +123,17 @@ class _Stack:
         return np.stack([part.sum(axis=1) for part in parts], axis=1)
 
     def off(self, factors: Factors) -> Array:
-        """Predicted minus measured, in deviations; 0 for what was not measured."""
+        """Return predicted minus measured, in standard deviations; 0 for what was not measured."""
         difference = np.where(self.known, self.ends(factors) - self.found, 0.0)
         weighted: Array = difference * self._weights
         return weighted
 
     def left_over(self, factors: Factors) -> tuple[Pose, ...]:
-        """Measured minus predicted, in metres and radians."""
+        """Return measured minus predicted, in metres and radians."""
         return tuple(Pose(*row.tolist()) for row in self.found - self.ends(factors))
 
     def slopes(self, at: Array, free: Sequence[Free]) -> Array:
-        """Of `off` by each unknown: measures × 4 × unknowns."""
+        """Return the derivative of `off` with respect to each unknown: measures × 4 × unknowns."""
         columns = []
         for place in range(len(free)):
             step = np.zeros(len(free))
@@ -145,10 +146,9 @@ class _Stack:
 def fit(
     measures: Sequence[Measure], track_m: float, free: Sequence[Free], *, robust: bool = False
 ) -> Fit:
-    """The factors that explain all measures best. `robust`: the deviations follow from how the
-    residuals of the measures scatter (clustered sandwich estimator: Liang & Zeger, Biometrika
-    73(1), 1986), not from the deviations that were given; for logs with unknown slip. Raises
-    BadData."""
+    """Return the factors that explain all measures best. `robust`: derive the deviations from the
+    scatter of the measures' residuals (clustered sandwich estimator: Liang & Zeger, Biometrika
+    73(1), 1986), not from the given deviations; for logs with unknown slip. Raises BadData."""
     stack = _Stack(measures, track_m)
     found = _solved(stack, free)
     factors = _factors(found, free)
@@ -201,7 +201,7 @@ def _solved(stack: _Stack, free: Sequence[Free]) -> Array:
 
 
 def _factors(at: Array, free: Sequence[Free]) -> Factors:
-    """The unknowns are logarithms, so that no factor can become negative."""
+    """Return the factors of the unknowns, which are logarithms: no factor can become negative."""
     values = dict.fromkeys(FREE, 0.0) | dict(zip(free, map(float, at), strict=True))
     return Factors(
         math.exp(values["scale"] - values["ratio"] / 2.0),
@@ -220,8 +220,9 @@ def _covariance(
         return np.asarray(bread * worse**2, dtype=np.float64)
     if len(off) <= len(free):
         raise BadData("there are fewer windows than unknowns: a longer log is needed")
-    # each measure without its own pull on the result (the jackknife of CR3: Bell & McCaffrey,
-    # Survey Methodology 28(2), 2002), or few windows with much turning seem too exact
+    # each residual without its own measure's influence on the result (the jackknife of CR3: Bell &
+    # McCaffrey, Survey Methodology 28(2), 2002); otherwise few windows with much turning seem too
+    # exact
     identity = np.eye(slopes.shape[1])
     leverage = np.einsum("nki,ij,nlj->nkl", slopes, bread, slopes)
     free_off = np.linalg.solve(identity - leverage, off[:, :, None])[:, :, 0]
@@ -230,7 +231,8 @@ def _covariance(
 
 
 def _deviations(covariance: Array, factors: Factors, free: Sequence[Free]) -> Factors:
-    """d left = left (d scale − d ratio / 2), and so on."""
+    """Return the standard deviations of the factors, as in d left = left (d scale − d ratio /
+    2)."""
     places = {name: place for place, name in enumerate(free)}
 
     def deviation(factor: float, parts: dict[str, float]) -> float:

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stop, emergency stop and disarm for sure: requested by datagram, confirmed by the daemon's answer
-or, where it gives none, by its state page. The answer needs a connection, the page needs nothing.
-"""
+"""Reliable stop, emergency stop and disarm: requested by datagram, confirmed by the daemon's answer
+or, if it gives none, by its state page. The answer needs a connection, the page needs none."""
 
 from __future__ import annotations
 
@@ -27,8 +26,9 @@ class NoAnswer(ClientError):
 
 
 def halt(local_socket: Path, method: str, timeout_s: float = TIMEOUT_S) -> str:
-    """`method` is "stop", "estop" or "disarm". Returns the state that it has led to. Raises Refused
-    with the daemon's reason, and ClientError where nothing confirms it in time."""
+    """Request "stop", "estop" or "disarm" (`method`) and wait for its effect. Returns the resulting
+    state. Raises Refused with the daemon's reason, and ClientError if nothing confirms it in
+    time."""
     requested_ns = time.monotonic_ns()
     try:
         send(local_socket, method, timeout_s)
@@ -36,14 +36,15 @@ def halt(local_socket: Path, method: str, timeout_s: float = TIMEOUT_S) -> str:
     except (OSError, ClientError) as error:  # no such socket, or no such page, or a drive too slow
         problem = (isinstance(error, OSError) and error.strerror) or str(error)
         return _answered(local_socket, method, timeout_s, problem)
-    if method == "disarm":  # which drive has not acknowledged it is not on the page
+    if method == "disarm":  # the page does not show which drive has not acknowledged
         with contextlib.suppress(NoAnswer):
             return _answered(local_socket, method, ANSWER_WITHIN_S, "")
     return state
 
 
 def _answered(local_socket: Path, method: str, timeout_s: float, problem: str) -> str:
-    """The daemon's answer. `problem`: why nothing else confirms it. Raises Refused, NoAnswer."""
+    """Return the state from the daemon's answer. `problem`: why nothing else confirms it. Raises
+    Refused, NoAnswer."""
     try:
         with Client(local_socket, timeout_s=timeout_s) as client:
             return str(client.call(method)["state"])
@@ -57,7 +58,8 @@ def _answered(local_socket: Path, method: str, timeout_s: float, problem: str) -
 
 
 def confirmed(local_socket: Path, method: str, requested_ns: int, within_s: float) -> str:
-    """The state that a request has led to, as the state page has it. Raises ClientError."""
+    """Wait until the state page shows that a request has taken effect and return the state. Raises
+    ClientError if it does not in time."""
     end_s = time.monotonic() + within_s
     try:
         with _page(local_socket) as page:
@@ -73,11 +75,11 @@ def confirmed(local_socket: Path, method: str, requested_ns: int, within_s: floa
 
 
 def outcome(snapshot: Snapshot, method: str, requested_ns: int) -> str | None:
-    """The state that the request has led to; None: it has not come to that yet."""
+    """Return the state to which the request has led; None: it has not taken effect yet."""
     if snapshot.stamp_ns <= requested_ns:
         return None
     state = STATES[snapshot.machine_state] if snapshot.machine_state < len(STATES) else "unknown"
-    if snapshot.faults:  # asyncio, which names the state, may stand still
+    if snapshot.faults:  # asyncio, which sets the state, may be blocked
         state = "estop" if "estop" in snapshot.faults else "fault"
     off = not (snapshot.armed or snapshot.enabled)
     if method == "disarm" and off and state in _GOING:
@@ -88,7 +90,7 @@ def outcome(snapshot: Snapshot, method: str, requested_ns: int) -> str | None:
 
 
 def _page(local_socket: Path) -> StatePage:
-    """That of the daemon whose socket this is. Raises NoPage and OSError."""
+    """Open the state page of the daemon with this socket. Raises NoPage and OSError."""
     link, robot = page_link(local_socket), local_socket.name.removesuffix(".sock")
     with contextlib.suppress(OSError):
         robot = Path(os.readlink(link)).name.removesuffix(PAGE)

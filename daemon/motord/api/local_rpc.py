@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes over the local socket, as bytes: JSON-RPC 2.0, one object a line. No I/O; both clients,
-`motord.client` and `motord.aio`, send and read what this module makes and understands."""
+"""The bytes on the local socket: JSON-RPC 2.0, one object a line. No I/O: both clients,
+`motord.client` and `motord.aio`, make and parse the lines with this module."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _NOT_SENT = (float("inf"), float("-inf"))
 
 
 class ClientError(Exception):
-    """The daemon cannot be reached, or did not answer, or did not understand; says which."""
+    """The daemon cannot be reached, did not answer or did not understand, as the message states."""
 
 
 class Refused(ClientError):
-    """The daemon understood and refused; the message is its reason, and what to do about it."""
+    """The daemon understood and refused the request; the message is its reason and the remedy."""
 
     def __init__(self, reason: str, code: int) -> None:
         super().__init__(reason)
@@ -31,7 +31,7 @@ class WrongParams(ClientError):
 
 
 def request_line(number: int, method: str, params: Mapping[str, Any]) -> bytes:
-    """A call. Raises ClientError for a number that JSON does not have."""
+    """Return the line of a call. Raises ClientError for a number that JSON cannot represent."""
     request = {"jsonrpc": "2.0", "id": number, "method": method, "params": params}
     try:
         return json.dumps(request, allow_nan=False).encode() + b"\n"
@@ -42,7 +42,7 @@ def request_line(number: int, method: str, params: Mapping[str, Any]) -> bytes:
 
 
 def answer_to(number: int, line: bytes, where: object) -> dict[str, Any] | None:
-    """The answer to that call; None: it is the late answer to another. Raises ClientError."""
+    """Return the answer to that call; None: it is a late answer to another. Raises ClientError."""
     try:
         answer = json.loads(line)
     except ValueError as error:
@@ -52,7 +52,7 @@ def answer_to(number: int, line: bytes, where: object) -> dict[str, Any] | None:
 
 
 def result_of(answer: Mapping[str, Any]) -> Any:
-    """Raises Refused, and ClientError for everything else that is no result."""
+    """Return the result in an answer. Raises Refused, and ClientError for every other error."""
     problem = answer.get("error")
     if problem is None:
         return answer.get("result")
@@ -63,14 +63,15 @@ def result_of(answer: Mapping[str, Any]) -> Any:
 
 
 def given(**params: Any) -> dict[str, Any]:
-    """Without those that are None: the daemon has a default for them."""
+    """Return the parameters without those that are None, for which the daemon has defaults."""
     return {name: value for name, value in params.items() if value is not None}
 
 
 def drive_params(
     linear_m_s: float, angular_rad_s: float, lateral_m_s: float, **lease: Any
 ) -> dict[str, Any]:
-    """Of the method `drive`; a daemon that knows no `lateral_m_s` serves all other commands."""
+    """Return the parameters of the method `drive`, without a `lateral_m_s` of 0, so that a daemon
+    that does not know it can be driven, too."""
     lateral = {"lateral_m_s": lateral_m_s} if lateral_m_s != 0.0 else {}
     return {"linear_m_s": linear_m_s, "angular_rad_s": angular_rad_s, **lateral, **given(**lease)}
 
@@ -80,6 +81,6 @@ def joints_params(
     velocity_rad_s: Mapping[str, float] | None,
     **lease: Any,
 ) -> dict[str, Any]:
-    """Of the method `joints`."""
+    """Return the parameters of the method `joints`."""
     wanted = given(position_rad=position_rad, velocity_rad_s=velocity_rad_s)
     return {name: dict(values) for name, values in wanted.items()} | given(**lease)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One motion over a given distance or angle, by the odometry: how fast to go now, and when and why
-it ends.
+"""One motion over a given distance or angle, measured by the odometry: its speed at each step, and
+when and why it ends.
 
-Pure: the state comes in as snapshots, the time as an argument; out come steps, one a snapshot. The
-core limits and ramps it like any other; a motion that is not asked on lapses with its lease.
-`u` in a name stands for the axis's own unit: m on the linear axis, rad on the angular one.
-"""
+Pure: the state comes in as snapshots and the time as an argument; for each snapshot a step comes
+out. The core limits and ramps the commands like any others. A motion whose `step` is no longer
+called ends when its lease expires. `u` in a name stands for the axis's own unit: m on the linear
+axis, rad on the angular one."""
 
 from __future__ import annotations
 
@@ -19,33 +19,34 @@ from motord.api.snapshot import Snapshot
 
 Axis = Literal["linear", "angular"]
 LAG_S = 0.15
-"""From a command to the odometry that shows it, at most: line cycle, drive and state page."""
+"""Longest time from a command to the odometry that shows it: line cycle, drive and state page."""
 COMMANDS_WITHIN_S = 1.0
-"""A lease that is not in command by then does not get it."""
+"""Time within which the motion's lease has to be in command; after it the motion is aborted."""
 RESTS_WITHIN_S = 5.0
 """Longest time from the goal to rest, in addition to the ramp itself."""
 LOOK_WITHIN_S = 0.9
 STUCK_S = 3.0
-"""A base that comes no nearer for this time, in addition to that of its acceleration, is stuck."""
+"""A base that comes no nearer to its goal for this time, plus the time to accelerate, is stuck."""
 TURN_RATE_MAX_RAD_S = math.pi
-"""Keeps the base from half a turn between two looks, which would hide its direction."""
+"""Greatest turn rate. A half turn between two looks would hide the direction of the turn."""
 CORRECTIONS_MAX, CORRECTION_TOLERANCES = 3, 10.0
-"""A base that has come to rest beside its goal is corrected, also backward: at most this often, and
-by at most this many tolerances."""
+"""How often a base that rests beside its goal is corrected, forward or backward, and from how many
+tolerances beside it at most."""
 STOPS_EVERY_S = 0.1
-"""How often the daemon is asked for its count of stops, in addition to the state page."""
+"""Interval at which the daemon's count of stops is read, in addition to the state page."""
 UNSTOPPED_WITHIN_S = 1.0
-"""Nothing is corrected unless the daemon reports within this time at rest that no stop came."""
+"""Time at rest within which the daemon has to report that no stop came; else nothing is
+corrected."""
 DISTANCE_MAX_U = 1000.0
 TOLERANCE_U = {"linear": 0.01, "angular": 0.02}
-"""Where a goal names none."""
+"""Tolerances of a goal that names none."""
 TIMEOUT_MAX_S = 3600.0
 CANNOT_STRAFE = "this base cannot move sideways: turn it, then move"
 _NS = 1e-9
 
 
 class End(Enum):
-    """How it ended."""
+    """How a motion ended."""
 
     SUCCEEDED = "succeeded"
     CANCELED = "canceled"
@@ -54,7 +55,7 @@ class End(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """An axis's limits, as the robot file and `params.set` have them. All positive."""
+    """The limits of an axis, from the robot file and `params.set`. All are positive."""
 
     velocity_u_s: float
     acceleration_u_s2: float
@@ -63,14 +64,16 @@ class Bounds:
     """Infinity: no limit."""
 
     def approach_u_s(self, distance_u: float) -> float:
-        """The speed from which it comes to rest within that distance: v lag + v d / (2 j) + v² / (2
-        d), a uniform deceleration that begins late by the lag and rises by the jerk."""
+        """Return the speed from which the base comes to rest within that distance. It solves
+        distance = v lag + v d / (2 j) + v² / (2 d): a uniform deceleration d that begins late by
+        the lag and rises by the jerk j."""
         late_s = LAG_S + self.deceleration_u_s2 / (2.0 * self.jerk_u_s3)
         root_s = math.sqrt(late_s * late_s + 2.0 * max(distance_u, 0.0) / self.deceleration_u_s2)
         return self.deceleration_u_s2 * (root_s - late_s)
 
     def duration_s(self, distance_u: float, velocity_u_s: float) -> float:
-        """Of a trapezoid over that distance, somewhat more."""
+        """Return the duration of a trapezoidal speed profile over that distance, slightly
+        overestimated."""
         ramps_s = velocity_u_s / self.acceleration_u_s2 + velocity_u_s / self.deceleration_u_s2
         jerks_s = (self.acceleration_u_s2 + self.deceleration_u_s2) / self.jerk_u_s3
         return abs(distance_u) / velocity_u_s + ramps_s + jerks_s
@@ -82,30 +85,30 @@ _KEYS = {
     "lateral": ("m_s", "m_s2", "deceleration_m_s2", "m_s3"),
 }
 _ALONG = 1e-9
-"""A part of the direction that is less is rounding."""
+"""A smaller component of the direction is a rounding error."""
 
 
 def _names(axis: str) -> tuple[str, ...]:
-    """The parameters of that axis, in the order of Bounds."""
+    """Return the names of the axis's limit parameters, in the order of Bounds."""
     return tuple(f"limits.{axis}_{key}" for key in _KEYS[axis])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Goal:
-    """What is requested; 0 stands for the robot's own value."""
+    """A requested motion; for speed, tolerance and time-out, 0 stands for the robot's own value."""
 
     axis: Axis
     distance_u: float
-    """Its sign is the direction."""
+    """Negative: against the direction, or a turn to the right."""
     velocity_u_s: float = 0.0
     tolerance_u: float = 0.0
     timeout_s: float = 0.0
     direction_rad: float = 0.0
-    """Of a linear one, from straight ahead, counterclockwise: pi / 2 is to the left."""
+    """Direction of a linear motion, counterclockwise from straight ahead: pi / 2 is to the left."""
 
     @property
     def parts(self) -> dict[str, float]:
-        """The share of each axis, as parts of one."""
+        """The component of the direction on each axis that moves, -1 to 1. Raises ValueError."""
         if self.axis == "angular":
             return {"angular": 1.0}
         if not math.isfinite(self.direction_rad):
@@ -115,17 +118,18 @@ class Goal:
 
     @property
     def strafes(self) -> bool:
-        """It goes sideways too."""
+        """Whether the motion goes sideways, too."""
         return "lateral" in self.parts
 
 
 def limit_names(goal: Goal) -> tuple[str, ...]:
-    """The parameters that bound it. Raises ValueError."""
+    """Return the names of the parameters that limit the motion. Raises ValueError."""
     return tuple(name for axis in goal.parts for name in _names(axis))
 
 
 def bounds_of(goal: Goal, sent: Mapping[str, float | None]) -> Bounds:
-    """Along its direction, from `params.get`, where null is no limit."""
+    """Return the limits along the goal's direction. `sent`: the answer of `params.get`; None: no
+    limit."""
     of_axes = [
         [math.inf if (value := sent[name]) is None else value / abs(part) for name in _names(axis)]
         for axis, part in goal.parts.items()
@@ -141,7 +145,7 @@ def bounds_of(goal: Goal, sent: Mapping[str, float | None]) -> Bounds:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """A goal that can be."""
+    """A goal that was checked, with the robot's own values filled in."""
 
     axis: Axis
     distance_u: float
@@ -152,13 +156,13 @@ class Plan:
     direction_rad: float = 0.0
 
     def along_m_s(self, snapshot: Snapshot) -> float:
-        """How fast the base moves in the direction of the goal."""
+        """Return the speed of the base in the direction of the goal."""
         forward_m_s = snapshot.linear_m_s * math.cos(self.direction_rad)
         return forward_m_s + snapshot.lateral_m_s * math.sin(self.direction_rad)
 
 
 def planned(goal: Goal, bounds: Bounds) -> Plan:
-    """Raises ValueError, in words, for a goal that cannot be."""
+    """Check and complete a goal. Raises ValueError, with the reason, for an impossible goal."""
     numbers = (goal.distance_u, goal.velocity_u_s, goal.tolerance_u, goal.timeout_s)
     if not all(map(math.isfinite, numbers)):
         raise ValueError("distance, speed, tolerance and time-out have to be finite numbers")
@@ -191,7 +195,7 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
 
 
 def problem(snapshot: Snapshot, now_ns: int, stale_s: float) -> str | None:
-    """Why the odometry cannot be used. None: it can."""
+    """Return why the odometry cannot be used; None: it can."""
     if (now_ns - snapshot.stamp_ns) * _NS > stale_s:
         return "the loop has stopped publishing its state"
     if any(joint.stale for joint in snapshot.joints):
@@ -203,7 +207,7 @@ def problem(snapshot: Snapshot, now_ns: int, stale_s: float) -> str | None:
 
 
 def obstacle(snapshot: Snapshot) -> str | None:
-    """Why nothing may move now."""
+    """Return why nothing may move now; None: the base may move."""
     if snapshot.faults:
         return f"a fault is latched: {', '.join(snapshot.faults)}"
     if not snapshot.armed:
@@ -214,7 +218,7 @@ def obstacle(snapshot: Snapshot) -> str | None:
 
 
 class Travel:
-    """What was travelled since a beginning, signed: distance in a direction of the base, angle."""
+    """Signed distance in a fixed direction of the base, and signed angle, since a start."""
 
     def __init__(self, start: Snapshot, direction_rad: float = 0.0) -> None:
         self._last = start
@@ -223,7 +227,8 @@ class Travel:
         self.angle_rad = 0.0
 
     def add(self, snapshot: Snapshot) -> str | None:
-        """Why the distance is not known any more. None: it is known."""
+        """Add the motion since the last snapshot. Returns why the distance is no longer known;
+        None: it is known."""
         if snapshot.odometry_epoch != self._last.odometry_epoch:
             return "the odometry was reset"
         if (snapshot.stamp_ns - self._last.stamp_ns) * _NS > LOOK_WITHIN_S:
@@ -239,7 +244,7 @@ class Travel:
 
 @dataclass(frozen=True, slots=True)
 class MotionStep:
-    """What to command now; with `end`, that and no more."""
+    """The command to send now. With `end` set, it is the last one of the motion."""
 
     linear_m_s: float = 0.0
     angular_rad_s: float = 0.0
@@ -249,13 +254,13 @@ class MotionStep:
 
 
 class Motion:
-    """One goal in progress. `step` again and again, with the newest snapshot."""
+    """One goal in progress. Call `step` repeatedly with the newest snapshot."""
 
     def __init__(
         self, plan: Plan, start: Snapshot, now_ns: int, *, lease: int, stale_s: float, stops: int
     ) -> None:
-        """`lease`: the number under which its commands are sent. `stale_s`: older states are not
-        used. `stops`: how many the daemon had counted before."""
+        """`lease`: the number of the lease under which the commands are sent. `stale_s`: older
+        states are not used. `stops`: the daemon's count of stops before the motion."""
         self.plan = plan
         self.travel = Travel(start, plan.direction_rad)
         self._lease, self._stale_s = lease, stale_s
@@ -271,28 +276,28 @@ class Motion:
 
     @property
     def distance_u(self) -> float:
-        """Done so far, with its sign."""
+        """Distance or angle done so far, with its sign."""
         return self.travel.distance_m if self.plan.axis == "linear" else self.travel.angle_rad
 
     @property
     def remaining_u(self) -> float:
-        """To go; negative behind the goal."""
+        """Distance or angle still to go; negative behind the goal."""
         return math.copysign(1.0, self.plan.distance_u) * (self.plan.distance_u - self.distance_u)
 
     def cancel(self, now_ns: int) -> None:
-        """Come to rest, and end there."""
+        """Come to rest and end the motion there."""
         self._end(End.CANCELED, "canceled", now_ns)
 
     def counted(self, stops: int, asked_ns: int) -> None:
-        """How many stops the daemon had counted when it was asked at that time. On the state page a
-        stop is only seen until the robot rests: one that was short is over before the next look."""
+        """Take the daemon's count of stops, requested at `asked_ns`. The state page shows a stop
+        only until the robot rests, so it may miss a short one between two looks."""
         if stops != self._stops:
             self._stopped = True
         else:
             self._unstopped_ns = asked_ns
 
     def step(self, snapshot: Snapshot, now_ns: int) -> MotionStep:
-        """The step that follows from what is known now."""
+        """Return the step that follows from this snapshot."""
         why = self._trouble(snapshot, now_ns)
         if why is not None:
             return MotionStep(end=End.ABORTED, why=why)
@@ -307,7 +312,7 @@ class Motion:
         return self._come_to_rest(snapshot, now_ns)
 
     def _trouble(self, snapshot: Snapshot, now_ns: int) -> str | None:
-        """What ends it at once."""
+        """Return why the motion has to end at once; None: it goes on."""
         why = problem(snapshot, now_ns, self._stale_s) or obstacle(snapshot)
         if self._stopped:
             why = why or "a stop was requested"
@@ -323,12 +328,13 @@ class Motion:
         return None
 
     def _end(self, how: End, why: str, now_ns: int) -> None:
-        """The first reason counts."""
+        """Begin to end the motion; only the first reason counts."""
         if self._ending is None:
             self._ending, self._ending_ns = (how, why), now_ns
 
     def _stuck(self, now_ns: int) -> bool:
-        """A step is a quarter of what it creeps in that time, or of the tolerance."""
+        """Return whether the base has come no nearer for too long. Progress counts from a quarter
+        of the distance that it creeps in STUCK_S, or of the tolerance if that is less."""
         plan, bounds = self.plan, self.plan.bounds
         step_u = min(plan.tolerance_u, self._creep_u_s() * STUCK_S) / 4.0
         if abs(self.remaining_u) <= self._near_u - step_u:
@@ -338,12 +344,13 @@ class Motion:
         return (now_ns - self._near_ns) * _NS > STUCK_S + starts_s
 
     def _creep_u_s(self) -> float:
-        """Stops within half of the tolerance."""
+        """Return the speed from which the base stops within half of the tolerance, limited by the
+        plan."""
         creep_u_s = self.plan.bounds.approach_u_s(self.plan.tolerance_u / 2.0)
         return min(creep_u_s, self.plan.velocity_u_s)
 
     def _onward(self) -> MotionStep:
-        """Not slower than what gets there."""
+        """Return the step towards the goal, not slower than the creep speed, so that it arrives."""
         plan = self.plan
         speed_u_s = max(plan.bounds.approach_u_s(abs(self.remaining_u)), self._creep_u_s())
         speed_u_s = math.copysign(min(speed_u_s, plan.velocity_u_s), plan.distance_u)
@@ -379,7 +386,7 @@ class Motion:
         return MotionStep(end=how, why=why)
 
     def _corrected(self, now_ns: int) -> bool:
-        """It goes on, towards the goal from where it is."""
+        """Begin a correction towards the goal. False: it is too far, or there were too many."""
         near_u = CORRECTION_TOLERANCES * self.plan.tolerance_u
         if abs(self.remaining_u) > near_u or self._corrections == CORRECTIONS_MAX:
             return False

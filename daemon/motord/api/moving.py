@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`move` and `turn` as a procedure: a distance or an angle, by the odometry (motord.api.motion).
+"""`move` and `turn` as a procedure: a distance or an angle, measured by the odometry
+(motord.api.motion).
 
 The procedure yields what it needs, a call of the daemon or a pause, and its driver sends back the
-answer: `motord.client` blocks for it, `motord.aio` awaits it. The command is that program's own:
-when it ends, or hangs, its lease lapses and the robot stops.
-"""
+result: `motord.client` blocks for it, `motord.aio` awaits it. The program itself sends the
+commands: if it ends or hangs, its lease expires and the robot stops."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ _LATCHED = ("fault", "estop")
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """Call this method of the daemon and send its result back, or throw its ClientError."""
+    """A method of the daemon that the driver calls; it sends the result back or throws
+    ClientError."""
 
     method: str
     params: Mapping[str, Any] = field(default_factory=dict)
@@ -45,10 +46,10 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """Resume then."""
+    """A time until which the driver waits."""
 
     until_s: float
-    """CLOCK_MONOTONIC."""
+    """On CLOCK_MONOTONIC."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,21 +58,21 @@ class Moved:
 
     end: End
     why: str
-    """Empty where it succeeded."""
+    """Empty if it succeeded."""
     distance_m: float
     angle_rad: float
     duration_s: float
 
 
 class MoveFailed(ClientError):
-    """A move or a turn did not begin, or did not arrive; the message says why."""
+    """A move or a turn did not begin, or did not reach its goal; the message is the reason."""
 
     def __init__(self, why: str, *, moved: Moved | None = None, latched: bool = False) -> None:
         super().__init__(why)
         self.moved = moved
         """How far it went; None: it did not begin."""
         self.latched = latched
-        """A fault or an emergency stop is latched."""
+        """Whether a fault or an emergency stop is latched."""
 
 
 Watch: TypeAlias = Callable[[Motion, Snapshot], object]
@@ -80,11 +81,11 @@ Procedure: TypeAlias = Generator[Call | Pause, Any, Moved]
 
 
 def unwatched(_motion: Motion, _newest: Snapshot) -> None:
-    """A Watch that does nothing."""
+    """Do nothing: the default `watch`."""
 
 
 def never_canceled() -> bool:
-    """A motion that goes on to its end."""
+    """Return False: the default `canceled`."""
     return False
 
 
@@ -92,7 +93,8 @@ def goal_of(
     axis: str, distance_u: float, velocity_u_s: float | None, tolerance_u: float | None,
     timeout_s: float | None, direction_rad: float = 0.0,
 ) -> Goal:  # fmt: skip
-    """None: the robot's own value. Raises ValueError for a 0, which would mean the same."""
+    """Make a goal; None stands for the robot's own value. Raises ValueError for a 0, which a Goal
+    would take for None."""
     given = (("speed", velocity_u_s), ("tolerance", tolerance_u), ("time-out", timeout_s))
     for name, value in given:
         if value is not None and not value > 0.0:
@@ -115,11 +117,10 @@ def procedure(
     watch: Watch = unwatched,
     canceled: Canceled = never_canceled,
 ) -> Procedure:
-    """Carry out a goal. `owner`: that of the lease as a parameter of `drive`, none for the usual
-    one; the driver releases it in the end. `daemon_uid`: the user whose state page is read.
-    `watch` is called at each look; when `canceled` is true the robot comes to rest and the motion
-    ends. Raises ValueError for a goal that cannot be, MoveFailed and ClientError.
-    """
+    """Carry out a goal. `owner`: the `owner` parameter of `drive`, empty for the default lease; the
+    driver releases the lease in the end. `daemon_uid`: the user whose state page is read. `watch`
+    is called at each look; when `canceled` returns true the robot comes to rest and the motion
+    ends. Raises ValueError for a goal that is not possible, MoveFailed and ClientError."""
     names = limit_names(goal)
     if goal.strafes and not (yield Call("robot")).get("strafes"):
         raise MoveFailed(CANNOT_STRAFE)
@@ -156,7 +157,7 @@ def procedure(
 
 
 def _start(page: StatePage) -> Snapshot:
-    """Where it begins. Raises MoveFailed where it may not."""
+    """Return the snapshot at which the motion begins. Raises MoveFailed if it may not begin."""
     start = page.read()
     if start is None:
         raise MoveFailed("there is no state yet")
@@ -167,7 +168,8 @@ def _start(page: StatePage) -> Snapshot:
 
 
 def _lease(owner: Mapping[str, str]) -> Generator[Call | Pause, Any, int]:
-    """The number of ours, with a command of zero. Raises MoveFailed where another's counts."""
+    """Send a command of zero and return the number of its lease. Raises MoveFailed if another lease
+    is in command."""
     answer = yield Call("drive", {"linear_m_s": 0.0, "angular_rad_s": 0.0, **owner})
     if not answer["in_command"]:
         raise MoveFailed(f"{answer['owner']} is in command")

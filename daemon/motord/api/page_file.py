@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The file in shared memory that holds the state page: where it is, whose it is, and when it goes.
+"""The file in shared memory that holds the state page: its path, its owner, and its removal.
 
 Every user can create files in /dev/shm. So the daemon keeps its files in a folder of its own,
 /dev/shm/motord-UID, in which no other user can create, truncate or replace them (SIGBUS). If
 another user has created that name first, the daemon makes a folder with a random ending.
 
-A lock shows that the daemon lives. The kernel releases it however a process dies, so a stale file
-differs from a live one without trusting process numbers, which are reused. A user who may only read
-the file can lock it as well, but not with an open file description lock for writing (fcntl(2)):
-that one counts.
-"""
+A lock shows that the daemon lives. The kernel releases it however the process ends, so it separates
+a stale file from a live one; process numbers would not, for they are reused. A user who may only
+read the file can lock it as well, but not with an open file description lock for writing
+(fcntl(2)), so only that kind of lock counts."""
 
 from __future__ import annotations
 
@@ -26,7 +25,7 @@ from typing import Self
 SHARED = Path("/dev/shm")  # noqa: S108  # POSIX shared memory, as shm_open has it
 PAGE, JOURNAL = ".page", ".journal"
 SERVICE_FOLDER = Path("/run/motord")
-"""Belongs to the user that the service runs as."""
+"""Folder of the service; its owner is the user that the service runs as."""
 _PID_OFFSET, _PID_BYTES = 28, 4
 _TRIES = 10
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
@@ -82,7 +81,7 @@ def _is_private(path: Path, uid: int) -> bool:
 
 
 def _own_folder() -> Path:
-    """Make it if there is none. Raises OSError."""
+    """Return this user's folder; make it if it is missing. Raises OSError."""
     uid = os.geteuid()
     plain = SHARED / f"motord-{uid}"
     with contextlib.suppress(FileExistsError):
@@ -94,13 +93,13 @@ def _own_folder() -> Path:
 
 
 def own_page(name: str) -> Path:
-    """Where a daemon of this user keeps the state page of the robot `name`. Raises OSError."""
+    """Return where this user's daemon keeps the state page of the robot `name`. Raises OSError."""
     return _own_folder() / (name + PAGE)
 
 
 class PageFile:
-    """Owner of a robot's state page, or of the journal beside it, readable by all users, from
-    `open` to `close`."""
+    """A robot's state page, or the journal beside it, which this process owns from `open` to
+    `close`; all users can read it."""
 
     def __init__(self, path: Path, fd: int) -> None:
         self.path = path
@@ -108,11 +107,10 @@ class PageFile:
 
     @classmethod
     def open(cls, name: str, suffix: str = PAGE) -> Self:
-        """Make the file, or take over that of a dead daemon; its readers stay attached.
+        """Create the file, or take over that of a dead daemon; its readers stay attached.
 
         Raises PageInUse if another daemon owns it, ValueError for a name that is no file name, and
-        OSError if the file cannot be made (no /dev/shm).
-        """
+        OSError if the file cannot be made (no /dev/shm)."""
         if not name or "/" in name or "\0" in name:
             raise ValueError(f"{name!r} cannot be part of a file name in {SHARED}")
         for _ in range(_TRIES):
@@ -144,14 +142,14 @@ class PageFile:
         if _is_still(self.path, self.fd):
             with contextlib.suppress(FileNotFoundError):
                 self.path.unlink()
-            with contextlib.suppress(OSError):  # another robot's page is in it
+            with contextlib.suppress(OSError):  # the folder still holds another robot's page
                 self.path.parent.rmdir()
         os.close(self.fd)
         self.fd = -1
 
 
 def _open(path: Path) -> int | None:
-    """The file, made if it is missing. None: another user may write the file that is there."""
+    """Open the file; create it if it is missing. None: another user may write the existing file."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         info = path.lstat()
@@ -172,7 +170,7 @@ def _open(path: Path) -> int | None:
 
 
 def _is_ours(info: os.stat_result) -> bool:
-    """A file by one name that only this user can write."""
+    """Return whether it is a regular file with one link that only this user can write."""
     regular = stat.S_ISREG(info.st_mode) and info.st_nlink == 1
     return regular and info.st_uid == os.geteuid() and not info.st_mode & _OTHERS_WRITE
 
@@ -188,7 +186,7 @@ def _remove(path: Path) -> None:
 
 
 def _lock(fd: int, path: Path) -> bool:
-    """False: a user that may only read it has locked it. Raises PageInUse."""
+    """Lock the file. False: a user that may only read it has locked it. Raises PageInUse."""
     try:
         fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0))
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -205,7 +203,7 @@ def _lock(fd: int, path: Path) -> bool:
 
 
 def _is_locked_by_a_writer(fd: int) -> bool:
-    """A writer other than this descriptor."""
+    """Return whether a process has locked the file for writing through another descriptor."""
     wanted = _LOCK.pack(fcntl.F_RDLCK, os.SEEK_SET, 0, 0, 0)
     kind, *_ = _LOCK.unpack(fcntl.fcntl(fd, fcntl.F_OFD_GETLK, wanted))
     return bool(kind != fcntl.F_UNLCK)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guided procedures by name, each with its options: for the command line and the dashboard."""
+"""The guided procedures by name, each with its options, for the command line and the dashboard."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ PROCEDURES: Mapping[str, tuple[str, ...]] = {
     "gyro": _TURN,
     "tune": ("rim_m_s", "step_s"),
 }
-"""`motord spin`, the kinds of `motord calibrate`, `motord tune`; the names of their options."""
+"""The options of `motord spin`, of each kind of `motord calibrate`, and of `motord tune`."""
 CALIBRATIONS = tuple(name for name in PROCEDURES if name not in ("spin", "tune"))
 
 
 def chosen(procedure: str, options: Mapping[str, object]) -> dict[str, float]:
-    """A value for each option of the procedure: the given one, or the usual one. Raises KeyError
-    for an unknown name, ValueError for a value that is no number or out of range."""
+    """Return a value for each option of the procedure: the given one, or the usual one. Raises
+    KeyError for an unknown procedure, ValueError for an unknown option or a value out of range."""
     known = PROCEDURES[procedure]
     if unknown := [name for name in options if name not in known]:
         raise ValueError(f"{procedure} has no option {unknown[0]!r:.40}")

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the core knows after a tick, as plain Python values.
+"""The state of the core after a tick, as plain Python values.
 
-Its plain fields and its records are those of `robot_state` in api.h, by `motord.api.records`.
-Everybody but the core only reads a snapshot: hence no import of the C core.
-"""
+The plain fields and the records are those of `robot_state` in api.h, from `motord.api.records`. A
+snapshot is only read here, so the C core is not imported."""
 
 from __future__ import annotations
 
@@ -21,18 +20,19 @@ from motord.api.records import JointSnapshot as JointSnapshot
 from motord.api.records import SpeedLoopSnapshot as SpeedLoopSnapshot
 
 SNAPSHOT_VERSION = 1
-"""Raised when a field is renamed, removed or changes its meaning; not when one is added."""
+"""Version of the snapshot; it grows when a field is renamed, removed or changes its meaning, not
+when one is added."""
 STATES = ("off", "configuring", "idle", "armed", "moving", "stopping", "fault", "estop")
-"""By `machine_state`."""
+"""The states, indexed by `machine_state`."""
 GYRO_STATES = ("none", "unbiased", "used", "stale", "reversed")
-"""By GYRO_* of csrc/api/api_imu.h."""
+"""States of the gyro, indexed by GYRO_* of csrc/api/api_imu.h."""
 DERATED_BY = ("temperature", "current", "voltage")
-"""By DERATED_BY_* of csrc/api/api_derating.h."""
+"""Causes of a derating, indexed by DERATED_BY_* of csrc/api/api_derating.h."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot(PlainSnapshot):
-    """The robot after one tick. `stamp_ns` is CLOCK_MONOTONIC; publishers add the wall time."""
+    """The robot after one tick. `stamp_ns` is CLOCK_MONOTONIC; publishers add wall-clock time."""
 
     joints: tuple[JointSnapshot, ...]
     wanted_lateral_m_s: float = 0.0
@@ -40,47 +40,47 @@ class Snapshot(PlainSnapshot):
     lateral_m_s: float = 0.0
     """Measured, positive to the left; 0 for a base that cannot move sideways."""
     slip_m_s: float = 0.0
-    """Of the rims against each other, root mean square: what no motion of the base explains."""
+    """Speed of the rims against each other that no motion of the base explains, root mean
+    square."""
     lateral_covariance: Doubles3 = (0.0, 0.0, 0.0)
-    """Of the twist: vx vy, vy vy, vy w in m2/s2, m2/s2, m rad/s2."""
+    """Covariance of the twist: vx vy, vy vy, vy w in m2/s2, m2/s2, m rad/s2."""
     position_setpoints_rad: Doubles8 = ()
-    """Of joints that take positions; NaN: none."""
+    """Set-point of each joint that takes positions; NaN: no set-point."""
     misaligned_rad: float = 0.0
-    """How far the worst steered wheel does not point to where it is to roll. Infinity: it is not
-    known yet."""
+    """Angle by which the worst steered wheel is off its aim. Infinity: not known yet."""
     position_joints: U32 = 0
     """Bit n: joint n takes positions, and its `position_rad` is its angle."""
     position_unknown: U32 = 0
-    """Bit n: where joint n is is not known."""
+    """Bit n: the position of joint n is not known."""
     imu: ImuSnapshot | None = None
-    """None: there is none, or it was never received."""
+    """None: the robot has no IMU, or nothing was received from it yet."""
     doubt: DoubtSnapshot | None = None
     speed_loops: tuple[SpeedLoopSnapshot, ...] = ()
-    """By joint."""
+    """One for each joint, in their order."""
     derating: DeratingSnapshot | None = None
     """None: no joint derates the base."""
     reasons_since_ns: Mapping[str, int] = field(default_factory=dict)
-    """Since when each of `reasons` holds."""
+    """Time since when each of `reasons` holds."""
     saturated_joint: int | None = None
-    """While `wheel_saturated` is a reason: the place of the joint whose limit it is."""
+    """While `wheel_saturated` is a reason: the index of the joint that is at its limit."""
     reason_joints: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
-    """Of those of `reasons` that are about a duty, a position that is not known or joints without a
-    base: the places of the joints that they come from."""
+    """Indices of the joints that cause a reason. Only for `reasons` about a duty, an unknown
+    position or joints without a base."""
     version: int = SNAPSHOT_VERSION
 
     def to_json(self) -> dict[str, Any]:
-        """Ready for json.dumps(allow_nan=False): NaN and infinities are None, tuples are lists."""
+        """Return a dict for json.dumps(allow_nan=False): NaN and infinity are None, tuples are
+        lists."""
         return _record(self)
 
 
 def derated_by(number: int) -> str:
-    """What `by` of the C core's derating_shown means."""
+    """Return the word for `by` of the C core's derating_shown."""
     return DERATED_BY[number] if number < len(DERATED_BY) else f"reason {number}"
 
 
 def gyro_word(state: int) -> str:
-    """What `state` of the C core's imu_state means; a number that is not known is shown as it
-    is."""
+    """Return the word for `state` of the C core's imu_state; with its number if it is unknown."""
     return GYRO_STATES[state] if state < len(GYRO_STATES) else f"state {state}"
 
 
@@ -90,7 +90,7 @@ _Record = (
 
 
 _NAMES = {kind: tuple(key.name for key in dataclasses.fields(kind)) for kind in get_args(_Record)}
-"""Of the fields, by the class: `fields` looks for them anew each time."""
+"""Names of the fields of each class, kept here because `fields` computes them anew each time."""
 _AS_IT_IS = frozenset((int, str, bool, type(None)))
 
 

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the state page of a running daemon with the standard library alone: docs/state-page.md.
+"""Read the state page of a running daemon with the standard library alone: docs/state-page.md.
 
 For processes that do not load the C core. The slot that is read is written again three ticks later
-at the soonest, and every load of it depends on the number that was published: a copy whose sequence
-is the same before and after is whole.
-"""
+at the soonest, and every load from it depends on the number that was published. So a copy is whole
+if its sequence is the same before and after."""
 
 from __future__ import annotations
 
@@ -76,11 +75,12 @@ _FORMS: Mapping[str, tuple[str, Callable[[Any], Any] | None]] = {
     "GyroState": ("I", gyro_word),
     "DeratedBy": ("I", derated_by),
 }
-"""How csrc/api/api.h has what a dataclass calls by that type, and what it is in Python."""
+"""For each type of a dataclass field: its struct format in csrc/api/api.h, and the conversion of
+its value to Python."""
 
 
 class _Record:
-    """Decodes a structure of csrc/api/api.h: the fields of its dataclass, in their order."""
+    """Decoder of a structure of csrc/api/api.h: the fields of its dataclass, in their order."""
 
     def __init__(
         self,
@@ -89,8 +89,8 @@ class _Record:
         hidden: tuple[str, str] = ("", ""),
         only: Callable[[str], bool] = bool,
     ) -> None:
-        """`hidden`: a field of the structure alone, and the one that it stands before. `only`: the
-        names of the fields that this structure has."""
+        """`hidden`: a field that only the structure has, and the field before which it stands.
+        `only`: whether the structure has the field of that name."""
         names = [
             (f.name, str(f.type))
             for f in dataclasses.fields(kind)
@@ -109,7 +109,7 @@ class _Record:
         self.bytes = self._struct.size
 
     def values(self, payload: bytes, at: int) -> dict[str, Any]:
-        """By the names of the fields."""
+        """Return the values by the names of the fields."""
         raw = self._struct.unpack_from(payload, at)
         return {
             name: raw[place] if meaning is None else meaning(raw[place])
@@ -139,14 +139,14 @@ _DERATING_OFFSET = _SPEED_LOOP_OFFSET + _JOINTS_MAX * _SPEED_LOOP.bytes
 _JOINT_REASONS = (
     "duty_clamped", "duty_slew", "joint_velocity", "joint_acceleration", "joint_position",
 )  # fmt: skip
-"""That come from joints: each has a mask of them in reasons_shown, in this order."""
+"""Reasons that come from joints: each has a mask of the joints in reasons_shown, in this order."""
 _REASON = struct.Struct(f"=32qI{len(_JOINT_REASONS)}I")
 _REASON_OFFSET = _DERATING_OFFSET + _DERATING.bytes
 _PAYLOAD_BYTES = _REASON_OFFSET + _REASON.size
 
 
 def decode(payload: bytes) -> Snapshot:
-    """A `robot_state`, byte for byte as the page has it."""
+    """Decode a `robot_state` from the bytes of the page."""
     state = _STATE.values(payload, 0)
     imu, doubt = _IMU.values(payload, _IMU_OFFSET), _DOUBT.values(payload, _DOUBT_OFFSET)
     derating = _DERATING.values(payload, _DERATING_OFFSET)
@@ -186,12 +186,12 @@ def decode(payload: bytes) -> Snapshot:
 
 
 class NoPage(Exception):
-    """There is no page to be read; the text says why."""
+    """There is no page to be read; the message is the reason."""
 
 
 class StatePage:
-    """The newest snapshot of one robot. Stays attached when its daemon is killed and another takes
-    the page over; `open` it again when the file was removed (`gone`)."""
+    """The newest snapshot of one robot. It stays attached when its daemon is killed and another one
+    takes the page over. `open` it again when the file was removed (`gone`)."""
 
     def __init__(self, path: Path, memory: mmap.mmap) -> None:
         self._path = path
@@ -201,7 +201,7 @@ class StatePage:
 
     @classmethod
     def open(cls, robot: str, owner: int | None = None) -> Self:
-        """Attach to the page of that robot; `owner` as find_page has it. Raises NoPage."""
+        """Attach to the page of that robot; `owner` as in find_page. Raises NoPage."""
         path = find_page(robot, owner=owner)
         try:
             fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -232,7 +232,7 @@ class StatePage:
 
     @property
     def gone(self) -> bool:
-        """The file was removed, or there is another one of its name."""
+        """Whether the file was removed, or there is another one of its name."""
         try:
             return self._path.stat().st_ino != self._inode
         except FileNotFoundError:
@@ -240,12 +240,13 @@ class StatePage:
 
     @property
     def published(self) -> int:
-        """Snapshots so far; 0: none. Another number than before: there is a newer one."""
+        """Number of snapshots so far; 0: none. If it has changed, there is a newer snapshot."""
         number: int = _PUBLISHED.unpack_from(self._memory, _PUBLISHED_OFFSET)[0]
         return number
 
     def read(self) -> Snapshot | None:
-        """The newest snapshot; None: there is none, or each try was overtaken."""
+        """Return the newest snapshot; None: there is no snapshot yet, or the daemon
+        overwrote it during each try."""
         for _ in range(_TRIES):
             number = self.published
             if number == 0:

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The answer of `status`, with a type for everything in it: docs/python.md.
 
-Units are in the names. None: not measured, or never. What a daemon of another version does not
-send has its type's default: NaN, empty, False.
-"""
+Units are in the names. None: not measured, or never. A field that a daemon of another version does
+not send keeps the default of its type: NaN, empty, False."""
 
 from __future__ import annotations
 
@@ -23,10 +22,10 @@ NAN = math.nan
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """What is requested, and what the robot does with it."""
+    """The requested motion, and what the robot makes of it."""
 
     command_age_s: float | None = None
-    """None: no command ever."""
+    """None: there was no command yet."""
     wanted_linear_m_s: float = NAN
     wanted_angular_rad_s: float = NAN
     wanted_lateral_m_s: float = NAN
@@ -40,7 +39,7 @@ class Command:
 
 @dataclass(frozen=True, kw_only=True)
 class Odometry:
-    """Pose since the last `reset_odometry`, and speed, as measured."""
+    """Pose since the last `reset_odometry`, and measured speed."""
 
     x_m: float = NAN
     y_m: float = NAN
@@ -52,7 +51,8 @@ class Odometry:
     lateral_m_s: float = NAN
     """Positive to the left; 0 for a base that cannot move sideways."""
     slip_m_s: float = NAN
-    """Of the rims against each other, root mean square: what no motion of the base explains."""
+    """Speed of the rims against each other that no motion of the base explains, root mean
+    square."""
     pose_covariance: tuple[float, ...] = ()
     """xx, xy, xh, yy, yh, hh in m2, m rad, rad2."""
     twist_covariance: tuple[float, ...] = ()
@@ -60,9 +60,9 @@ class Odometry:
     lateral_covariance: tuple[float, ...] = ()
     """vx vy, vy vy, vy w in m2/s2, m2/s2, m rad/s2."""
     degraded: bool = False
-    """Feedback was missing meanwhile."""
+    """Whether a wheel is stale, or has no counter."""
     epoch: int = 0
-    """Another number than before: the pose has been reset."""
+    """Number of resets of the pose; it changes with each one."""
     age_s: float | None = None
 
 
@@ -74,7 +74,7 @@ class Joint(JointStatus):
     """unknown, ready, armed or unresponsive."""
     fault_words: tuple[str, ...] = ()
     takes_position: bool = False
-    """It goes to angles: `position_rad` is the one that it has."""
+    """Whether the joint takes positions; `position_rad` is then its angle."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +92,7 @@ class Battery:
 
 @dataclass(frozen=True, kw_only=True)
 class Imu(ImuStatus):
-    """The robot file's [imu]; about x, y, z of the base."""
+    """The robot file's [imu]; values about the x, y and z axis of the base."""
 
     age_s: float | None = None
 
@@ -128,7 +128,7 @@ class LoopStatus:
 
 @dataclass(frozen=True, kw_only=True)
 class LineStatus:
-    """A medium with drives on it."""
+    """A fieldbus line with its drives."""
 
     state: str = ""
     """closed, configuring or ready."""
@@ -147,7 +147,7 @@ class LineStatus:
 
 @dataclass(frozen=True, kw_only=True)
 class LeaseStatus:
-    """A source that commands, or would; the one in command stands first."""
+    """A source that has a lease; the source in command is the first."""
 
     number: int = 0
     owner: str = ""
@@ -159,7 +159,7 @@ class LeaseStatus:
     lateral_m_s: float | None = None
     rate_hz: float | None = None
     held: bool = False
-    """It requested motion while nothing could move, and has to send zero first."""
+    """The source requested motion while nothing could move; it has to send zero first."""
     why: str = ""
 
 
@@ -179,11 +179,11 @@ class Commands:
 
     accepted: int = 0
     refused: Mapping[str, int] = field(default_factory=dict)
-    """By reason."""
+    """Number of refused commands, by reason."""
     sideways: int = 0
-    """Commands of lateral motion, given to a base that cannot move sideways."""
+    """Commands of lateral motion that were sent to a base that cannot move sideways."""
     on_spot: int = 0
-    """Commands to turn on the spot, given to a base whose steering cannot."""
+    """Commands to turn on the spot that were sent to a base whose steering cannot do it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,18 +191,18 @@ class Limited:
     """A reason why the set-point differs from the request."""
 
     for_s: float = NAN
-    """How long it has held."""
+    """How long the reason has held."""
     joint: str | None = None
-    """Where it comes from one joint."""
+    """Joint that causes "wheel_saturated" or "derated"; None for every other reason."""
     by: str | None = None
-    """Of derating: temperature, current or voltage."""
+    """Cause of a derating: temperature, current or voltage."""
     factor: float | None = None
-    """Of derating: what is left of the base's speed limits."""
+    """The factor by which a derating multiplies the base's speed limits."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Status(dict[str, Any]):
-    """Everything the daemon knows about itself and the robot. As a dict it is the answer itself:
+    """Everything the daemon knows about itself and the robot. It is also the answer as a dict:
     `status.odometry.x_m` and `status["odometry"]["x_m"]` are the same number."""
 
     robot: str = ""
@@ -210,17 +210,17 @@ class Status(dict[str, Any]):
     state: str = ""
     """off, configuring, idle, armed, moving, stopping, fault or estop."""
     why: tuple[str, ...] = ()
-    """What led to the fault or the emergency stop that is latched."""
+    """What caused the latched fault or emergency stop."""
     armed: bool = False
     at_rest: bool = False
     reasons: tuple[str, ...] = ()
-    """Why the set-point is not what was asked for."""
+    """Why the set-point differs from the request."""
     limited: Mapping[str, Limited] = field(default_factory=dict)
     """Each of `reasons` in detail."""
     faults: tuple[str, ...] = ()
-    """What is latched."""
+    """The latched faults."""
     stops: int = 0
-    """How often it was brought to rest by a stop, an emergency stop or a fault."""
+    """How often a stop, an emergency stop or a fault has brought the robot to rest."""
     command: Command = field(default_factory=Command)
     odometry: Odometry = field(default_factory=Odometry)
     joints: Mapping[str, Joint] = field(default_factory=dict)
@@ -232,15 +232,15 @@ class Status(dict[str, Any]):
     inputs: tuple[Commander, ...] = ()
     commands: Commands = field(default_factory=Commands)
     publishers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """Of the daemon itself: "taken", "dropped", and "topics" by name with rate and count."""
+    """Counters of the daemon's own publishers: "taken", "dropped", and "topics" by their names."""
     bus: Mapping[str, Any] | None = None
-    """What the second process says of itself; None: the robot file has no bus."""
+    """Status of the second process, motord-bus; None: the robot file has no bus."""
     stalls: Mapping[str, Any] = field(default_factory=dict)
     version: int = 0
 
     @classmethod
     def of(cls, answer: Mapping[str, Any]) -> Self:
-        """From the answer of `status`."""
+        """Make a Status from the answer of `status`."""
         made: Self = _typed(cls)(answer)
         made.update(answer)
         return made
@@ -251,7 +251,7 @@ Convert = Callable[[Any], Any]
 
 @functools.cache
 def _typed(kind: Any) -> Convert:
-    """From JSON to that type."""
+    """Return the function that converts a JSON value to that type."""
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         hints = typing.get_type_hints(kind)
         keys = [(key.name, _typed(hints[key.name])) for key in dataclasses.fields(kind)]

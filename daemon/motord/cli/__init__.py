@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line. Commands are named in a table of strings: only the one that runs is
-imported."""
+"""The command line. A table of strings names the commands, so only the module of the command that
+runs is imported."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from click.shell_completion import CompletionItem
 from motord_hal.base.nearest import nearest
 
 INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it: 128 + SIGINT."""
+"""Exit status after Ctrl-C, as in shells: 128 + SIGINT."""
 
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("motord.cli.demo:demo", "Drive a simulated robot over a test course."),
@@ -63,12 +63,12 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "completion": ("motord.cli.completion:completion", "Complete commands and names with TAB."),
     "latency": ("motord.cli.latency:latency", "Measure the timing of this machine."),
 }
-"""Name → where it is, and its line in the help; in the order of the help."""
+"""Module and function of each command, and its line in the help; in the order of the help."""
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands by name and imports one when it is asked for. Under --json an
-    error is one JSON object too, and Ctrl-C ends without a message."""
+    """A group that imports a command only when it is used. With --json an error is one JSON object,
+    too, and Ctrl-C ends without a message."""
 
     def main(
         self,
@@ -78,7 +78,7 @@ class LazyGroup(click.Group):
         standalone_mode: bool = True,
         **extra: Any,
     ) -> Any:
-        """As click has it; exits the process."""
+        """Run a command like click.Group.main, and exit the process."""
         words = list(sys.argv[1:] if args is None else args)
         try:
             status = super().main(words, prog_name, complete_var, standalone_mode=False, **extra)
@@ -97,7 +97,7 @@ class LazyGroup(click.Group):
         return list(COMMANDS)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """From the table: no command is imported for its name."""
+        """Complete names of commands from the table, without an import of any command."""
         names = [
             CompletionItem(name, help=text)
             for name, (_, text) in COMMANDS.items()
@@ -136,7 +136,7 @@ class LazyGroup(click.Group):
 
 
 def show_error(error: click.ClickException, *, as_json: bool) -> None:
-    """In words on stderr; or as an object on stdout: error and exit_status."""
+    """Show an error: in words on stderr, or as an object with error and exit_status on stdout."""
     if as_json:
         found = {"error": error.format_message(), "exit_status": error.exit_code}
         found |= getattr(error, "result", {})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What commands share: options, exit statuses, JSON on stdout, problems on stderr."""
+"""Common parts of the commands: options, exit statuses, JSON on stdout, problems on stderr."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Exit(enum.IntEnum):
     FAULT = 3
     """A fault is latched, or hardware is missing."""
     INTERRUPTED = INTERRUPTED
-    """By Ctrl-C, before what was asked for was done."""
+    """Ended by Ctrl-C before the command had done its work."""
 
 
 class Failure(click.ClickException):
-    """Ends a command: `Error: message` on stderr, and the exit status."""
+    """The failure of a command: `Error: message` on stderr, and the exit status."""
 
     def __init__(
         self,
@@ -40,14 +40,14 @@ class Failure(click.ClickException):
         status: Exit = Exit.FAILED,
         result: Mapping[str, Any] | None = None,
     ) -> None:
-        """`result`: how far it came all the same, for the one object under --json."""
+        """`result`: partial results, which join the error in the one object of --json."""
         super().__init__(message)
         self.result = dict(result or {})
         self.exit_code = int(status)  # type: ignore[misc]  # click reads it from the instance
 
 
 class _Finite(click.ParamType):  # type: ignore[type-arg]  # generic in newer clicks only
-    """A number that is neither NaN nor infinite; `above`: the least one that it has to exceed."""
+    """A number that is neither NaN nor infinite, and greater than `above`."""
 
     name = "float"
 
@@ -57,7 +57,7 @@ class _Finite(click.ParamType):  # type: ignore[type-arg]  # generic in newer cl
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
-        """As click has it."""
+        """Convert a value: see click.ParamType.convert."""
         try:
             number = float(value)
         except ValueError:
@@ -74,13 +74,13 @@ POSITIVE = _Finite(above=0.0)
 
 
 class BadRobotFile(Failure):
-    """The problems of a robot file, a line each."""
+    """The problems of a robot file, one a line."""
 
     def __init__(self, message: str) -> None:
         super().__init__(message, Exit.USAGE)
 
     def show(self, file: IO[Any] | None = None) -> None:
-        """The lines as they are: each names its file."""
+        """Print the lines without a prefix, since each names its file."""
         click.echo(self.message, file=file, err=file is None)
 
 
@@ -110,18 +110,19 @@ dry_run_option = click.option(
 
 
 def usual_option(name: str, kind: Any, usual: Any, text: str) -> Callable[[Any], Any]:
-    """Its help shows the default."""
+    """Return an option whose help shows the default."""
     return click.option(name, type=kind, default=usual, show_default=True, help=text)
 
 
 def plot_option(text: str) -> Callable[[Any], Any]:
-    """A picture of what was measured."""
+    """Return the option for a picture of what was measured."""
     kind = click.Path(path_type=Path, dir_okay=False)
     return click.option("--plot", metavar="FILE.png", type=kind, help=text)
 
 
 def print_json(value: Any) -> None:
-    """One JSON object on stdout. NaN and infinity are our own mistake: JSON has neither."""
+    """Print one JSON object on stdout. Raises ValueError for NaN and infinity, which JSON does not
+    have: a program error."""
     click.echo(json.dumps(value, ensure_ascii=False, allow_nan=False))
 
 
@@ -134,7 +135,7 @@ def load_or_exit(
     overrides: Sequence[str] = (),
     warn: Callable[[str], None] = _to_stderr,
 ) -> Robot:
-    """The robot; its problems go to stderr and end the command, its warnings only go to `warn`."""
+    """Load the robot file. Its problems end the command, on stderr; its warnings go to `warn`."""
     from motord.config import ConfigError, load_robot
 
     try:

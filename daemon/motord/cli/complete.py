@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a shell offers after TAB: names of running robots, of their joints, lines and parameters, of
-drive profiles and example robots. A daemon that does not answer soon gives nothing."""
+"""Completions of the shell after TAB: names of running robots, of their joints, lines and
+parameters, of drive profiles and example robots. A daemon that does not answer soon gives no
+names."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
 
 def _completing(names: Callable[[click.Context], Iterable[tuple[str, str]]]) -> Complete:
-    """Names with a help text, those that begin with what is typed."""
+    """Return a completion: those of the names, with their help texts, that begin as typed."""
 
     def complete(ctx: click.Context, _: click.Parameter, typed: str) -> list[CompletionItem]:
         try:
@@ -31,7 +32,7 @@ def _completing(names: Callable[[click.Context], Iterable[tuple[str, str]]]) -> 
 
 
 def _ask(ctx: click.Context, method: str) -> Any:
-    """Of the daemon that the options name so far."""
+    """Call a method of the daemon that the options name so far."""
     path = ctx.params.get("path") or find_socket(ctx.params.get("robot"))
     with Client(path, timeout_s=ANSWER_WITHIN_S) as client:
         return client.call(method)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord completion`: what a shell has to load for TAB to complete commands and names."""
+"""`motord completion`: the script with which a shell completes commands and names after TAB."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from click.shell_completion import get_completion_class
 
 _SHELLS = ("bash", "zsh", "fish")
 _VARIABLE = "_MOTORD_COMPLETE"
-"""click's own name for it, of a program motord."""
+"""Variable by which click recognizes a completion for the program motord."""
 
 
 @click.command

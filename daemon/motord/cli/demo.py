@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord demo`: a simulated robot, driven over a course and measured."""
+"""`motord demo`: drive a simulated robot over a course and measure it."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def demo(
     """
     path = Path(robot) if "/" in robot or robot.endswith(".toml") else robot_path(robot)
     loaded = load_or_exit(path, overrides)
-    for number in (signal.SIGTERM, signal.SIGHUP):  # however it ends, its daemon ends with it
+    for number in (signal.SIGTERM, signal.SIGHUP):  # so the daemon ends with it
         signal.signal(number, signal.default_int_handler)
     try:
         if web:
@@ -101,13 +101,13 @@ def robot_path(name: str) -> Path:
 
 
 def progress(text: str) -> None:
-    """One line on a terminal's stderr, written over; nothing where there is no terminal."""
+    """Show one line on stderr, which the next one overwrites; only on a terminal."""
     if sys.stderr.isatty():
         click.echo(f"\r\033[K{text}", nl=False, err=True)
 
 
 def stay_up(stage: Stage) -> None:
-    """Until Ctrl-C: how to use the robot that stands there."""
+    """Show how to use the robot, and wait for Ctrl-C."""
     progress("")
     click.echo(f"the robot stays up. In another terminal: motord status --socket {stage.socket}")
     click.echo("Ctrl-C ends it.")
@@ -115,7 +115,7 @@ def stay_up(stage: Stage) -> None:
 
 
 def stay_with_dashboard(stage: Stage, port: int, as_json: bool) -> None:
-    """Until Ctrl-C: where the dashboard is."""
+    """Show the address of the dashboard, and wait for Ctrl-C."""
     progress("")
     address = f"http://127.0.0.1:{port}"
     if as_json:
@@ -127,7 +127,7 @@ def stay_with_dashboard(stage: Stage, port: int, as_json: bool) -> None:
 
 
 def wait_for_end(stage: Stage) -> None:
-    """Until Ctrl-C, with the robot's state on a terminal."""
+    """Wait for Ctrl-C, and show the robot's state on a terminal."""
     try:
         while True:
             stage.check()
@@ -140,7 +140,7 @@ def wait_for_end(stage: Stage) -> None:
 
 
 def show(result: Result | JointResult) -> None:
-    """For a person: the path, then what was measured and what it means."""
+    """Print the result for a person: the path, then what was measured and what it means."""
     report = result.to_json()
     if isinstance(result, Result):
         show_odometry(result, report["odometry"], report)
@@ -183,7 +183,7 @@ def show_odometry(result: Result, odometry: dict[str, Any], report: dict[str, An
 
 
 def show_machine(result: Result | JointResult, report: dict[str, Any]) -> None:
-    """Loop, lines and safety."""
+    """Print the results of the loop, the lines and the safety checks."""
     loop = report["loop"]
     late = loop["lateness_us"]
     row(
@@ -218,6 +218,6 @@ def show_machine(result: Result | JointResult, report: dict[str, Any]) -> None:
 
 
 def row(name: str, text: str) -> None:
-    """Prints nothing for an empty text."""
+    """Print a row, or nothing for an empty text."""
     if text:
         click.echo(f"  {name:10} {text}")

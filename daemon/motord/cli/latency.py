@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord latency`: how late the loop is on this machine, and what a handover costs."""
+"""`motord latency`: how late the loop is on this machine, and how long handovers take."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SUSPECTS_SHOWN = 5
 UNRESPONSIVE_PERIOD_S = 5.0
-"""Between two lines of progress where stderr is no terminal."""
+"""Interval between two lines of progress if stderr is not a terminal."""
 
 
 @click.command
@@ -143,7 +143,7 @@ def latency(
 
 
 def check_picture(picture: Path | None) -> None:
-    """Before a long measurement, not after it."""
+    """Check before the long measurement that a picture can be drawn. Raises Failure."""
     if picture is None:
         return
     try:
@@ -155,7 +155,7 @@ def check_picture(picture: Path | None) -> None:
 
 
 def draw(report: LatencyReport, picture: Path) -> None:
-    """The measurement is not lost with the picture."""
+    """Draw the picture. If that fails, print the results first, so that they are not lost."""
     try:
         plot(report, picture)
     except OSError as error:
@@ -169,7 +169,8 @@ def warn(sentence: str) -> None:
 
 
 class ProgressLine:
-    """On a terminal one line that is written over; elsewhere a line now and then."""
+    """Progress on stderr: one line that is overwritten on a terminal, else a line every few
+    seconds."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
@@ -185,7 +186,7 @@ class ProgressLine:
             click.echo(line, err=True)
 
     def note(self, text: str) -> None:
-        """What is measured next."""
+        """Show what is measured next."""
         self.end()
         click.echo(f"once more: {text}", err=True)
 
@@ -203,7 +204,7 @@ def cells(name: str, spread: dict[str, Any]) -> str:
 
 
 def table(report: LatencyReport) -> str:
-    """For a person."""
+    """Return the results as a table for a person."""
     found = report.to_json()
     handover = found["handover_us"]
     outcome = (
@@ -238,7 +239,7 @@ def table(report: LatencyReport) -> str:
 
 
 def verdict_lines(report: LatencyReport, verdict: Verdict) -> list[str]:
-    """What made ticks late, the greatest share first, and what changed with each switch."""
+    """Return the causes of late ticks, greatest share first, and what changed with each trial."""
     late = verdict.late_ticks + verdict.late_lost
     found = f"{late} ticks more than {verdict.late_from_us:g} µs late: {verdict.late_per_s:.1f} /s"
     lines = ["", found, *([verdict.note] if verdict.note else [])]
@@ -256,7 +257,7 @@ def verdict_lines(report: LatencyReport, verdict: Verdict) -> list[str]:
 
 
 def heading(report: LatencyReport) -> tuple[str, str]:
-    """What was measured, and where."""
+    """Return what was measured, and on which machine."""
     machine = report.machine
     early = ", ended early" if report.ended_early else ""
     priority = f" {report.priority}" if report.priority else ""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Man pages from the help: `python -m motord.cli.man FOLDER`, when the Debian package is built.
+"""Write man pages from the help: `python -m motord.cli.man FOLDER`, when the Debian package is
+built.
 
-Macros: man(7). The help is click's own object, so a page and --help cannot differ.
-"""
+Macros: man(7). The text comes from click's own objects, so a page and --help cannot differ."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _STATUS = """0 success, 1 failure, 2 wrong usage or a wrong robot file,
 
 
 def pages() -> Iterator[tuple[str, str]]:
-    """File name and text of each page: motord.1, motord-run.1, ..."""
+    """Return file name and text of each page: motord.1, motord-run.1, ..."""
     root = click.Context(cli, info_name="motord")
     commands = {name: cli.get_command(root, name) for name in COMMANDS}
     shown = "".join(
@@ -86,13 +86,13 @@ def _subcommands(group: click.Group, context: click.Context) -> str:
 
 
 def _text(text: str) -> str:
-    """With what roff would read otherwise escaped."""
+    """Escape what roff would interpret."""
     escaped = text.replace("\\", "\\e").replace("-", "\\-").replace("'", "\\(aq")
     return re.sub(r"^\.", r"\\&.", escaped)
 
 
 def main() -> None:
-    """Writes all pages into the folder."""
+    """Write all pages into the folder."""
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in pages():

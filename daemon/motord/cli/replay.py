@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord replay`: a recording through the core again, and on the buses of a robot file."""
+"""`motord replay`: run a recording through the core again, and publish it by a robot file."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 BUS_ENDS_WITHIN_S = 5.0
 LAST_SHOWN_S = 1.0
-"""The end stays on the state page for this long: rates go down to 1 Hz."""
+"""Time for which the last state stays on the state page: the lowest rates are 1 Hz."""
 UNWINDING = (signal.SIGTERM, signal.SIGHUP)
-"""End the program as Ctrl-C does."""
+"""Signals that end the program like Ctrl-C."""
 
 
 @click.command
@@ -88,7 +88,7 @@ def _words(outcome: Outcome) -> str:
 
 
 class _Player:
-    """Shows each tick at the time that it had, beginning now."""
+    """Shows each tick at its recorded time, shifted so that the first one is now."""
 
     def __init__(self, page: ReplayPage) -> None:
         self._page = page
@@ -106,7 +106,7 @@ class _Player:
 
 @contextlib.contextmanager
 def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
-    """A state page in the name of that robot, and the process that brings it to the buses."""
+    """Open a state page with that robot's name, and start the process that publishes it."""
     from motord.api.page_file import PageInUse
     from motord.realtime.replay import ReplayPage
 
@@ -118,7 +118,7 @@ def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
                 page = cleanup.enter_context(ReplayPage(robot.robot.name))
         except PageInUse as error:
             raise Failure(str(error)) from error
-        # the socket does not exist: a command to a recording fails: no daemon is there
+        # the socket does not exist, so a command to a recording fails: there is no daemon
         nobody = page.path.with_suffix(".replay")
         command = [sys.executable, "-m", "motord.bus", str(robot_file), *options]
         bus = cleanup.enter_context(
@@ -129,7 +129,7 @@ def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
             )
         )
         try:
-            assert bus.stdout is not None  # it was asked for
+            assert bus.stdout is not None  # PIPE was given above
             if not bus.stdout.readline():
                 raise Failure("motord-bus did not start: see above")
             yield _Player(page)
@@ -140,8 +140,8 @@ def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
 
 @contextlib.contextmanager
 def _held_back() -> Iterator[None]:
-    """A signal that comes meanwhile ends the program only after this: between the making of a page
-    and the note that it is to be removed, an exception would leave it behind."""
+    """Hold signals back until the end of this context. Between the creation of a page and the note
+    to remove it, an exception would leave the page behind."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, *UNWINDING))
     try:
         yield
@@ -151,12 +151,12 @@ def _held_back() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _unwinding() -> Iterator[None]:
-    """SIGTERM and SIGHUP end the program as Ctrl-C does, by an exception: what was made for it,
-    above all the state page, is removed."""
+    """Make SIGTERM and SIGHUP end the program by an exception, like Ctrl-C, so that its files are
+    removed, above all the state page."""
 
     def ended(number: int, _: object) -> None:
         for each in UNWINDING:
-            signal.signal(each, signal.SIG_IGN)  # the clean-up is short, and comes to its end
+            signal.signal(each, signal.SIG_IGN)  # the clean-up is short and must complete
         sys.exit(128 + number)
 
     before = {number: signal.signal(number, ended) for number in UNWINDING}
@@ -168,8 +168,8 @@ def _unwinding() -> Iterator[None]:
 
 
 def _end(bus: subprocess.Popen[bytes]) -> None:
-    """It ends when its standard input does."""
-    assert bus.stdin is not None  # it was asked for
+    """End motord-bus by the end of its standard input; kill it if it does not end in time."""
+    assert bus.stdin is not None  # PIPE was given above
     bus.stdin.close()
     try:
         bus.wait(BUS_ENDS_WITHIN_S)

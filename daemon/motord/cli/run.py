@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord run`: the daemon."""
+"""`motord run`: run the daemon."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def run(
         asyncio.run(run_daemon(robot, path, on_ready, starts_bus=bus))
     except (ConfigRefused, ProfileError, LookupError) as error:
         raise Failure(str(error), Exit.USAGE) from error
-    except PortError as error:  # a pin of safety: without it nothing is started
+    except PortError as error:  # without a pin of safety nothing is started
         raise Failure(str(error), Exit.FAULT) from error
     except (PageInUse, SocketInUse) as error:
         raise Failure(str(error)) from error

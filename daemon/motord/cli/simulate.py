@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord simulate`: be a robot's drives."""
+"""`motord simulate`: simulate the drives of a robot."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from motord_hal.sim.runner import SPIN_S, run, set_pace
 SEED_MAX = 1 << 32
 PORT_MAX = 65535
 FULL_DUTY_RAD_S = 15.0
-"""Of duty drives whose robot file does not give it."""
+"""Speed at full duty of drives for which the robot file does not give it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +213,7 @@ def simulate(
 
 
 def _with_wheels(spec: RigSpec, changes: tuple[tuple[str, str, float], ...]) -> RigSpec:
-    """Its wheels with other physics."""
+    """Return the spec with changed physics of its wheels."""
     wheels = dict(spec.wheels)
     for joint, key, value in changes:
         if joint not in wheels:
@@ -241,7 +241,7 @@ def _rig(spec: RigSpec, link_dir: Path | None, control: Path | None) -> Rig:
 
 
 def _ports(robot: Robot, first: _Address | None, *, raw: bool) -> dict[str, PortSpec]:
-    """Each line's socket, one port after the other."""
+    """Return the socket of each line; the ports follow one another."""
     if first is None:
         return {}
     return {
@@ -251,7 +251,7 @@ def _ports(robot: Robot, first: _Address | None, *, raw: bool) -> dict[str, Port
 
 
 def rig_spec(robot: Robot, faults: tuple[str, ...], seed: int) -> RigSpec:
-    """The robot file as the simulator takes it."""
+    """Return the robot file in the form of the simulator."""
     profiles = robot.profiles
     return RigSpec(
         robot=robot.robot.name,
@@ -265,8 +265,8 @@ def rig_spec(robot: Robot, faults: tuple[str, ...], seed: int) -> RigSpec:
 
 
 def _modules(robot: Robot) -> Iterator[Module]:
-    """The wheels of a base with steered wheels; the fixed axle has wheels also where no joint
-    drives them."""
+    """Return the wheels of a base with steered wheels; the fixed axle of a car has wheels even if
+    no joint drives them."""
     for module in wheel_modules(robot.base, robot.joint):
         yield Module(
             x_m=module.x_m,
@@ -290,7 +290,7 @@ def _wheel(robot: Robot, name: str, joint: Joint) -> WheelSpec:
 
 
 def _row(robot: Robot, joint: Joint) -> WheelRow | None:
-    """Of a base that moves sideways by its rollers."""
+    """Return the wheel's row if the base moves sideways by its rollers; None: another base."""
     rollers = robot.base.strafes and not isinstance(robot.base, SteeredBase)
     return wheel_row(robot.base, joint) if rollers else None
 
@@ -325,7 +325,7 @@ def _say_where(rig: Rig, robot: Robot, robot_file: Path, *, as_json: bool) -> No
 
 
 def _settings(line: AnySimulatedLine, robot: Robot) -> tuple[str, ...]:
-    """What makes a robot file find the line here."""
+    """Return the settings with which a robot file finds this line."""
     name, address = line.spec.name, line.port.address
     if line.spec.kind == "can":
         interface, _, channel = address.partition(":")
@@ -339,7 +339,8 @@ def _settings(line: AnySimulatedLine, robot: Robot) -> tuple[str, ...]:
 
 
 def _pin_settings(line: AnySimulatedLine, robot: Robot) -> Iterator[str]:
-    """Each pin as a channel of the simulated chip, and each encoder as a counter beside them."""
+    """Return settings for each pin, as a channel of the simulated chip, and for each encoder, as a
+    counter beside them."""
     counters = itertools.count()
     for joint, places in zip(line.spec.joints, channels_of(line.spec.joints), strict=True):
         pins = ", ".join(

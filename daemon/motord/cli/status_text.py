@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord status`, for a person to read."""
+"""The text of `motord status` for a person."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 
 
 def show_status(found: dict[str, Any]) -> None:
-    """Print the answer of `status`, a row a subject."""
+    """Print the answer of `status`, one row a subject."""
     rows = [
         ("robot", f"{found['robot']} (process {found['pid']})"),
         ("state", found["state"]),
@@ -36,13 +36,13 @@ def show_status(found: dict[str, Any]) -> None:
 
 
 def _telling(reasons: Sequence[str], state: str) -> list[str]:
-    """Without the reasons that hold for every robot at rest."""
+    """Return the reasons without those that hold for every robot at rest."""
     usual = () if state in ("armed", "moving", "stopping") else ("not_armed", "command_stale")
     return [reason for reason in reasons if reason not in usual]
 
 
 def _reasons(found: dict[str, Any]) -> list[str]:
-    """Each with its joint, and for how long it has held."""
+    """Return each reason with its joint, and how long it has held."""
     return [
         _reason(name, found["limited"].get(name, {}))
         for name in _telling(found["reasons"], found["state"])
@@ -58,7 +58,7 @@ def _reason(name: str, about: Mapping[str, Any]) -> str:
 
 
 def _sideways(lateral_m_s: float) -> str:
-    """Only where there is such a motion."""
+    """Return the lateral speed in words; empty for 0."""
     return f" {lateral_m_s:.3f} m/s to the left" if lateral_m_s else ""
 
 
@@ -164,8 +164,7 @@ def _line(line: dict[str, Any]) -> str:
 
 
 def commanders_text(inputs: Sequence[Mapping[str, Any]]) -> str:
-    """The sources that may command, the highest priority first; `inputs` as in the answer of
-    `status`."""
+    """Return the sources that may command, by falling priority; `inputs` as `status` has them."""
     rows = sorted(inputs, key=lambda source: -source["priority"])
     texts = (f"{row['name']} ({row['kind']}, priority {row['priority']})" for row in rows)
     return ", ".join(texts) or "no source: every input of the robot file is switched off"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord stop-all`: the drives of a robot whose daemon has died."""
+"""`motord stop-all`: stop the drives of a robot whose daemon has crashed."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ def stop_all(robot_file: Path, overrides: tuple[str, ...], within_s: float, as_j
 
 
 def _as_it_ran(robot_file: Path) -> Robot | None:
-    """The robot whose daemon has died, as the file was then. None: nothing was kept of it."""
+    """Return the robot as its file was when the crashed daemon started. None: no copy was kept."""
     ran = find(robot_file)
     if ran is None:
         return None
     try:
         robot = load_robot(robot_file, ran.overrides, text=ran.text)
-    except ConfigError:  # another version's
+    except ConfigError:  # a copy from another version
         return None
     if _now(robot_file) != ran.text.encode():
         click.echo(

@@ -32,10 +32,10 @@ ABORTED_TEXT = "aborted: nothing was written"
 
 class Terminal:
     """A Person. Answers come from stdin; all text goes to stderr. Between two questions any key
-    aborts. Use it as a context: it puts the terminal and the signal handlers back."""
+    aborts. It is a context manager that restores the terminal and the signal handlers."""
 
     def __init__(self, *, yes: bool = False) -> None:
-        """`yes`: answers every yes-or-no question with yes; others are asked."""
+        """`yes`: answer every yes-or-no question with yes; other questions still need an answer."""
         self._yes = yes
         self._keys = sys.stdin.isatty()
         self._cooked: list[Any] | None = None
@@ -58,7 +58,7 @@ class Terminal:
     # ----------------------------------------------------------------------------------- a Person
     def show(self, text: str) -> None:
         self._end_line()
-        with contextlib.suppress(OSError):  # a terminal that is gone: `aborted` finds out
+        with contextlib.suppress(OSError):  # a terminal that is gone: `aborted` detects it
             click.echo(text, err=True)
 
     def difference(self, text: str) -> None:
@@ -101,7 +101,7 @@ class Terminal:
             self.show(f'"{text}" is not a number from {low:g} to {high:g} {unit}')
 
     def text(self, question: str, default: str) -> str:
-        """A line; empty: the default."""
+        """Return a line of text; the default if it is empty."""
         return self._ask(f"{question} [{default}] " if default else f"{question} ") or default
 
     def aborted(self) -> bool:
@@ -138,20 +138,20 @@ class Terminal:
         return line.strip()
 
     def _line(self) -> str:
-        """The answer. At a terminal it looks at `_stopped` meanwhile: an exception of the signal
-        handler comes to nothing where it cannot be raised (in a finalizer)."""
+        """Return the answer. At a terminal it checks `_stopped` meanwhile, since the exception of
+        the signal handler is lost if it cannot be raised (in a finalizer)."""
         while self._keys and not select.select([sys.stdin], [], [], STOPPED_EVERY_S)[0]:
             if self._stopped:
                 raise Aborted(ABORTED_TEXT)
         return sys.stdin.readline()
 
     def _uncook(self) -> None:
-        """Keys come without Enter, and are not shown."""
+        """Make the terminal deliver keys without Enter and without showing them."""
         if self._cooked is not None:
             return
         try:
             self._cooked = termios.tcgetattr(sys.stdin)
-            tty.setcbreak(sys.stdin, termios.TCSAFLUSH)  # what was typed before is no key
+            tty.setcbreak(sys.stdin, termios.TCSAFLUSH)  # keys that were typed before do not count
         except termios.error:
             self._stopped = True
 
@@ -170,7 +170,7 @@ class Terminal:
 
 @contextlib.contextmanager
 def failing() -> Iterator[None]:
-    """What a procedure raises, as the end of a command."""
+    """Convert the exceptions of a procedure to the end of a command."""
     try:
         yield
     except Aborted as error:

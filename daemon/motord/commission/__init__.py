@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Procedures that bring a new robot to driving; `person` is all they know of a user."""
+"""Procedures that make a new robot ready to drive; they reach the user only through a `Person`."""

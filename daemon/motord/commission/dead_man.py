@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Disarms the robot when the program that started this one ends without having disarmed it: its
-lease lapses by itself and the robot comes to rest, but the drives would stay powered.
+"""Disarm the robot if the program that started this one ends without having disarmed it: the lease
+of that program expires and the robot comes to rest, but the drives would stay powered.
 
-Run as `python -m motord.commission.dead_man SOCKET`; the end of stdin is the end of that program.
-"""
+Run it as `python -m motord.commission.dead_man SOCKET`; it takes the end of stdin for the end of
+that program."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ DISARMED = b"disarmed"
 
 @contextlib.contextmanager
 def dead_man(socket: Path) -> Iterator[None]:
-    """While this lasts, the end of this process disarms the robot; also a kill -9."""
+    """Disarm the robot if this process ends within this context, also by kill -9."""
     command = [sys.executable, "-m", "motord.commission.dead_man", os.fspath(socket)]
-    # a session of its own: Ctrl-C and a lost terminal are for the program that it watches
+    # a session of its own: Ctrl-C and a lost terminal must not end this process with its parent
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True
     )
@@ -41,7 +41,7 @@ def dead_man(socket: Path) -> Iterator[None]:
 
 def _main(socket: str) -> None:
     if DISARMED not in sys.stdin.buffer.read():
-        with contextlib.suppress(ClientError):  # a daemon that is gone has stopped its drives
+        with contextlib.suppress(ClientError):  # a daemon that has ended has stopped its drives
             halt(Path(socket), "disarm")
 
 

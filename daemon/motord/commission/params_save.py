@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was set while the robot ran goes into its robot file."""
+"""Write parameters that were set while the robot ran to its robot file."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from motord.config.sections.joint.speed_loop import SpeedLoop
 
 LIMITS, JOINT = "limits.", "joint."
 _ROUNDS = 2
-"""A value that the file does not give may follow from another one."""
+"""Passes over the values; a value that the file does not give may follow from another one."""
 
 
 def put_in_force(edit: RobotFileEdit, in_force: Mapping[str, float | None]) -> dict[str, float]:
-    """Give the file the limits and gains in force that it does not have; which ones, by name.
-    `in_force` is the answer of `params.get`; null: no limit. Raises ConfigError, Failed."""
+    """Add to the file those limits and gains in force that it does not have; returns them by name.
+    `in_force`: the answer of `params.get`; None: no limit. Raises ConfigError, Failed."""
     wanted = {name: math.inf if value is None else value for name, value in in_force.items()}
     if other := [name for name in wanted if not name.startswith((LIMITS, JOINT))]:
         raise Failed(

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a procedure needs of the person at the robot. A terminal, a web page and a test each give
-their own `Person`; procedures know no other user interface."""
+"""Interface between a procedure and the person at the robot. A terminal, a web page and a test each
+have their own `Person`; procedures know no other user interface."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ class Failed(Exception):
 
 
 class Person(Protocol):
-    """Questions may raise Aborted. While the robot may move, a procedure checks `aborted` at every
-    look, 50 times a second, and comes to rest when it is true."""
+    """The person at the robot. Questions may raise Aborted. While the robot may move, a procedure
+    checks `aborted` at every look, 50 times a second, and brings it to rest when it is true."""
 
     def show(self, text: str) -> None:
-        """A result or a notice, one or more lines."""
+        """Show a result or a notice, one or more lines."""
 
     def difference(self, text: str) -> None:
-        """What would change in a file, as `diff -u` shows it."""
+        """Show what would change in a file, in the form of `diff -u`."""
 
     def progress(self, text: str) -> None:
-        """What happens now; each text replaces the one before."""
+        """Show what happens now; each text replaces the one before."""
 
     def confirm(self, question: str) -> bool:
-        """Yes or no; without an answer, no."""
+        """Return the answer to a question, yes or no; no answer counts as no."""
 
     def choose(self, question: str, answers: Sequence[str]) -> str:
-        """One of the answers."""
+        """Return the one of the answers that the person chooses."""
 
     def text(self, question: str, default: str) -> str:
-        """A line of text; the default where the person gives none."""
+        """Return a line of text; the default if the person gives none."""
 
     def number(self, question: str, unit: str, low: float, high: float) -> float:
-        """A finite number of that unit within low..high."""
+        """Return a finite number of that unit within low..high."""
 
     def aborted(self) -> bool:
-        """Whether the robot has to come to rest now: a key, Ctrl-C, SIGTERM, a lost terminal. Does
-        not wait."""
+        """Return whether the robot has to come to rest now: a key, Ctrl-C, SIGTERM, a lost
+        terminal. Does not wait."""

@@ -26,24 +26,23 @@ from motord.config import ConfigError, Robot, load_robot
 from motord_hal.base import bounded
 
 KeyPath: TypeAlias = tuple[str, ...]
-"""As ("joint", "left", "inverted")."""
+"""Path of a key, such as ("joint", "left", "inverted")."""
 _AnyTable: TypeAlias = "Container | Table | InlineTable | OutOfOrderTableProxy"
 
 
 class EditError(Exception):
-    """The file cannot be read or written; the message names it, the cause and the cure."""
+    """The file cannot be read or written; the message names it, the cause and the remedy."""
 
 
 class FileChanged(EditError):
-    """The file on disk is not the one that was read."""
+    """The file on disk is no longer the one that was read."""
 
 
 class RobotFileText:
-    """One robot file, and the text that it should have. That is not on disk before `save`."""
+    """One robot file with its new text, which `save` writes to disk."""
 
     def __init__(self, path: Path, text: str | None = None) -> None:
-        """`text`: what the file has, unless given. Raises EditError for a file that cannot be
-        read."""
+        """`text`: the new text; None: that of the file. Raises EditError for an unreadable file."""
         self.path = path.resolve()  # the file itself: `save` must not replace a link to it
         try:
             self._found = bounded.read(self.path)
@@ -65,11 +64,11 @@ class RobotFileText:
 
     @property
     def sha256(self) -> str:
-        """Of the file on disk, as it was read."""
+        """SHA-256 of the file on disk, as it was read."""
         return hashlib.sha256(self._found).hexdigest()
 
     def diff(self) -> str:
-        """What changes, as `diff -u` shows it; empty: nothing."""
+        """Return what changes, in the form of `diff -u`; empty: nothing."""
         before, after = self._found.decode(), self.text
         name = self.path.name
         rows = difflib.unified_diff(
@@ -79,13 +78,13 @@ class RobotFileText:
         return "".join(row if row.endswith("\n") else f"{row}\n" for row in rows)
 
     def checked(self) -> Robot:
-        """The robot that the changed file describes. Raises ConfigError."""
+        """Return the robot that the changed file describes. Raises ConfigError."""
         return load_robot(self.path, text=self.text)
 
     def save(self) -> Path:
-        """Write the file at once or not at all; returns the backup of the old one. Raises
-        ConfigError for a file that does not pass, FileChanged for one that is not what was read,
-        EditError for one that cannot be written."""
+        """Write the file completely or not at all; returns the backup of the old one. Raises
+        ConfigError for a text that does not pass, FileChanged if the file is not what was read,
+        EditError if it cannot be written."""
         self.checked()
         try:
             if bounded.read(self.path) != self._found:
@@ -114,10 +113,10 @@ class RobotFileText:
 
 
 class RobotFileEdit(RobotFileText):
-    """Keys of one robot file with values of their own."""
+    """One robot file whose keys are changed one by one."""
 
     def __init__(self, path: Path) -> None:
-        """As RobotFileText; raises ConfigError for a file that does not pass."""
+        """Read the file like RobotFileText. Raises ConfigError for a file that does not pass."""
         super().__init__(path)
         self.before = load_robot(self.path)
         self._document = tomlkit.parse(self._text)
@@ -128,7 +127,7 @@ class RobotFileEdit(RobotFileText):
         return self._document.as_string()
 
     def get(self, path: KeyPath) -> Any:
-        """The value that the file gives for a key; None: the file does not give it."""
+        """Return the value that the file gives for a key; None: the file does not give it."""
         value: Any = self._document.unwrap()
         for part in path:
             if not isinstance(value, dict) or part not in value:
@@ -137,9 +136,9 @@ class RobotFileEdit(RobotFileText):
         return value
 
     def set(self, path: KeyPath, value: Any) -> None:
-        """Give a key this value, in the table where it belongs. A value that is there already
-        keeps its spelling. Raises EditError, and changes nothing, where that cannot be done without
-        a change of something else."""
+        """Give a key this value, in the table where it belongs. If the value is there already, it
+        keeps its spelling. Raises EditError, and changes nothing, if something else would change
+        with it."""
         if self.get(path) == value:
             return
         before = self.text
@@ -172,13 +171,13 @@ class RobotFileEdit(RobotFileText):
         table.value.body.extend(tail)
 
     def update(self, values: Mapping[KeyPath, Any]) -> None:
-        """`set` for each."""
+        """Call `set` for each key."""
         for path, value in values.items():
             self.set(path, value)
 
 
 def _with(values: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
-    """The same with that value."""
+    """Return the values with that value set at the path."""
     table = values
     for part in path[:-1]:
         table = table.setdefault(part, {})
@@ -187,13 +186,14 @@ def _with(values: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
 
 
 def _meaning(values: dict[str, Any]) -> str:
-    """Equal for files that mean the same, whatever the order of their keys; NaN is itself."""
+    """Return a text that is equal for files of equal meaning, in any order of keys; NaN equals
+    NaN."""
     return json.dumps(values, sort_keys=True, default=str)
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Put these bytes in the place of a file, at once or not at all, with the mode and owner that
-    it has. Raises OSError."""
+    """Replace a file by these bytes, completely or not at all, with the mode and owner that it has.
+    Raises OSError."""
     new = path.with_name(f".{path.name}.{os.getpid()}.new")
     descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     try:
@@ -208,7 +208,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def write_new(path: Path, content: bytes) -> None:
-    """Make a file that is not there yet. Raises EditError."""
+    """Create a file that does not exist yet. Raises EditError."""
     try:
         with path.open("xb") as file:
             file.write(content)
@@ -219,7 +219,7 @@ def write_new(path: Path, content: bytes) -> None:
 
 
 def _like(descriptor: int, path: Path) -> None:
-    """Mode and owner as those of `path`; a new file has the usual ones."""
+    """Give the file the mode and owner of `path`; if there is no such file, mode 0644."""
     try:
         found = path.stat()
     except FileNotFoundError:
@@ -245,8 +245,8 @@ def _why_not_written(path: Path, error: OSError) -> str:
 
 
 def _tail(body: Container) -> list[Any]:
-    """Blank lines and comments behind the last key, taken off: a new key comes before them. Empty
-    where tables follow, whose places tomlkit keeps by number."""
+    """Remove and return the blank lines and comments after the last key, so that a new key comes
+    before them. Empty if tables follow, whose places tomlkit keeps by number."""
     if any(isinstance(item, Table) for _, item in body.body):
         return []
     tail: list[Any] = []
@@ -256,7 +256,7 @@ def _tail(body: Container) -> list[Any]:
 
 
 def write_asking(person: Person, edit: RobotFileText, *, dry_run: bool = False) -> Path | None:
-    """Show the difference, confirm, write; returns the backup of the old file. None: nothing
+    """Show the difference, confirm, write; returns the backup of the old file. None: nothing was
     written. Raises ConfigError, EditError, Aborted."""
     if not edit.changed:
         person.show(f"{edit.path}: nothing changes")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The time for which a procedure has the robot armed. However it ends, the robot is at rest and
-disarmed behind it."""
+"""The time in which a procedure has the robot armed. However it ends, the robot is at rest and
+disarmed afterwards."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from motord.commission.person import Aborted, Failed, Person
 
 LOOK_EVERY_S = 0.02
 RESTS_WITHIN_S = 20.0
-"""As the longest stop that a robot file may have."""
+"""The longest stop that a robot file can allow."""
 BESIDE_MAX = 0.3
-"""Of the distance: how far from its goal a motion may rest."""
+"""Greatest distance from the goal at which a motion may rest, as a part of its distance."""
 ABORTED_TEXT = "aborted: the robot is at rest and disarmed, nothing was written"
 
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """What was seen while a twist was commanded, until the robot was at rest."""
+    """Snapshots from the start of a commanded twist until the robot was at rest."""
 
     snapshots: tuple[Snapshot, ...]
     faults: tuple[str, ...]
-    """Latched meanwhile; they have ended the motion."""
+    """Faults that were latched meanwhile and have ended the motion."""
 
 
 @dataclass(slots=True)
@@ -59,8 +59,8 @@ class Session:
         *,
         lateral_m_s: float = 0.0,
     ) -> Held:
-        """Command this twist for a time, or until `enough`, then zero until the robot is at rest.
-        Raises Aborted, Failed, ClientError."""
+        """Command this twist for a time, or until `enough` is true, then zero until the robot is at
+        rest. Raises Aborted, Failed, ClientError."""
         found: list[Snapshot] = []
         end_s = time.monotonic() + seconds
         for newest in self._looks():
@@ -89,8 +89,8 @@ class Session:
         raise AssertionError  # _looks has no end
 
     def carry_out(self, goal: Goal, watch: Callable[[Motion, Snapshot], object]) -> Moved:
-        """A distance or an angle by the odometry; what counts is where it ends, so a rest beside
-        the goal is good enough. Raises Aborted, Failed, ClientError."""
+        """Drive a distance or an angle by the odometry. A rest beside the goal is good enough,
+        since the measured end counts. Raises Aborted, Failed, ClientError."""
         stops = self.client.status().stops
         try:
             return self.client.carry_out(
@@ -109,14 +109,14 @@ class Session:
             return moved
 
     def newest(self) -> Snapshot:
-        """The state now. Raises Failed."""
+        """Return the newest state. Raises Failed."""
         found = self.page.read()
         if found is None:
             raise Failed("the daemon writes no state page any more")
         return found
 
     def wait_still(self, seconds: float) -> list[Snapshot]:
-        """What is seen while the robot stands. Raises Aborted."""
+        """Return the snapshots of this time, in which the robot stands. Raises Aborted, Failed."""
         found: list[Snapshot] = []
         end_s = time.monotonic() + seconds
         for newest in self._looks():
@@ -126,7 +126,7 @@ class Session:
         raise AssertionError  # _looks has no end
 
     def stopped_by(self, faults: tuple[str, ...]) -> str:
-        """What has ended a motion, for an error: a fault in the daemon's words."""
+        """Return what has ended a motion, for an error: a fault in the daemon's words."""
         why = "; ".join(self.client.status().why) or ", ".join(faults)
         return f"the robot stopped by itself: {why}"
 
@@ -158,7 +158,8 @@ class Session:
             raise Failed("another program has disarmed the robot")
 
     def _faulty(self, found: list[Snapshot]) -> Held:
-        """A latched fault has stopped the robot."""
+        """Return what was recorded before a fault stopped the robot. Raises Failed for an
+        e-stop."""
         faults = found[-1].faults
         if "estop" in faults:
             raise Failed("the emergency stop was pressed: release it, then motord reset")
@@ -167,7 +168,7 @@ class Session:
 
 
 def require_idle(client: Client) -> str:
-    """The robot's name. Raises Failed for a robot that is not at rest and disarmed."""
+    """Return the robot's name. Raises Failed for a robot that is not at rest and disarmed."""
     status = client.status()
     if status.state != "idle":
         why = "; ".join(status.why) or "see motord status"
@@ -178,8 +179,8 @@ def require_idle(client: Client) -> str:
 
 @contextlib.contextmanager
 def armed(client: Client, person: Person, owner: str) -> Iterator[Session]:
-    """Arm a robot that is at rest and disarmed; disarm it at the end. Raises Failed for one that is
-    not, Refused where it cannot be armed."""
+    """Arm a robot that is at rest and disarmed; disarm it at the end. Raises Failed if it is not at
+    rest and disarmed, Refused if it cannot be armed."""
     name = require_idle(client)
     robot = client.call("robot")
     try:
@@ -190,12 +191,12 @@ def armed(client: Client, person: Person, owner: str) -> Iterator[Session]:
         session = Session(client, person, owner, page, robot)
         try:
             client.arm()
-            # a program that ended a moment ago may have left its last command, which holds back
-            # all that follow it until one is zero
+            # a program that ended a moment ago may have left its last command, which holds back all
+            # that follow it until one is zero
             client.drive(0.0, 0.0, owner=owner)
             yield session
         finally:
             state = halt(client.path, "disarm")
             if state == "fault" and session.faults:
                 with contextlib.suppress(ClientError):
-                    client.reset()  # the fault was the procedure's own, and is explained by it
+                    client.reset()  # the fault came from the procedure, which explains it

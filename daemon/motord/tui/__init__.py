@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Full-screen views for a terminal (Textual): a client as any other, over the local socket."""
+"""Full-screen views for a terminal (Textual), as ordinary clients of the local socket."""

@@ -29,11 +29,11 @@ AGAIN_S = 1.0
 ANSWER_WITHIN_S = 3.0
 LOG_ROWS = 200
 Find = Callable[[], Path]
-"""The daemon's socket now. Raises ClientError."""
+"""A function that returns the daemon's present socket. It raises ClientError."""
 
 
 class Confirm(ModalScreen[bool]):
-    """Asks once; any other key than y is no."""
+    """One question; y is yes, any other key is no."""
 
     CSS = """
     Confirm { align: center middle; }
@@ -55,7 +55,7 @@ class Confirm(ModalScreen[bool]):
 
 
 class Top(App[None]):
-    """One robot. Exits when it is asked to, whatever the robot does."""
+    """The screen for one robot. It exits on request in every state of the robot."""
 
     CSS = """
     Static { height: auto; margin: 0 0 1 0; }
@@ -82,7 +82,7 @@ class Top(App[None]):
         self._records: deque[dict[str, Any]] = deque(maxlen=LOG_ROWS)
         self._newest = 0
         self.found: Status | None = None
-        """The newest answer; None: none yet, or the daemon does not answer."""
+        """The newest answer; None: there was no answer yet, or the daemon does not answer."""
 
     def compose(self) -> ComposeResult:
         yield Static("connecting ...", id="header", markup=False)
@@ -117,7 +117,7 @@ class Top(App[None]):
     async def _look(self, robot: Client) -> None:
         found = await robot.status()
         recent = await robot.call("log", after=self._newest)
-        if recent["newest"] < self._newest:  # the daemon is another one
+        if recent["newest"] < self._newest:  # the daemon was restarted
             recent = await robot.call("log")
         self._newest = recent["newest"]
         self._records.extend(recent["records"])
@@ -139,7 +139,7 @@ class Top(App[None]):
 
     # -------------------------------------------------------------------------------------- acting
     def action_estop(self) -> None:
-        """At once, without a question."""
+        """Request it at once, without a question."""
         self._perform("emergency stop", self._halt("estop"))
 
     def action_stop(self) -> None:
@@ -169,7 +169,7 @@ class Top(App[None]):
         self.run_worker(perform(), name=words)
 
     async def _halt(self, method: str) -> str:
-        """By datagram, confirmed by the state page where the daemon does not answer."""
+        """Request it by datagram, confirmed by the state page if the daemon does not answer."""
         return await asyncio.to_thread(halt, self._where(), method)
 
     async def _call(self, method: str) -> str:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `motord top` shows, as styled text: from the answers of the daemon alone, without a screen.
+"""The content of `motord top` as styled text: made from the answers of the daemon alone, without a
+screen.
 
-Every line fits into 80 columns.
-"""
+Every line fits into 80 columns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rich.text import Text
 from motord.api.status import Joint, LineStatus, Status
 
 TREND = 12
-"""Values that a trend shows."""
+"""Number of values that a trend shows."""
 GREW_WITHIN_S = 10.0
 _BARS = "▁▂▃▄▅▆▇█"
 _STATE_STYLES = {
@@ -31,8 +31,8 @@ HEAD = "bold cyan"
 
 
 def trend(values: Iterable[float], width: int = TREND) -> str:
-    """Bars for the newest values; the range is theirs, and includes zero. What is not a number is a
-    gap."""
+    """Return bars for the newest values. The scale is their range, extended to include zero; a
+    value that is not finite is a gap."""
     newest = list(values)[-width:]
     numbers = [value for value in newest if math.isfinite(value)]
     low, high = min([*numbers, 0.0]), max([*numbers, 0.0])
@@ -42,7 +42,7 @@ def trend(values: Iterable[float], width: int = TREND) -> str:
 
 
 class History:
-    """What has changed since the looks before."""
+    """Changes since earlier answers: speeds, lateness and error counters."""
 
     def __init__(self) -> None:
         self._speeds: dict[str, deque[float]] = {}
@@ -66,20 +66,20 @@ class History:
         return trend(self._lateness)
 
     def grows(self, line: str, kind: str, now_s: float) -> bool:
-        """The counter of these errors grew in the last GREW_WITHIN_S."""
+        """Return whether this error counter grew in the last GREW_WITHIN_S."""
         return now_s - self._errors.get((line, kind), (0, -math.inf))[1] < GREW_WITHIN_S
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """What the state means for the person in front of the screen."""
+    """Meaning of the robot's state for the person in front of the screen."""
 
     text: str
     urgent: bool = False
 
 
 def advice(found: Status) -> Advice:
-    """Why the robot is in its state, and what to do about it."""
+    """Return why the robot is in its state, and what to do about it."""
     waits = [line.waits_for for line in found.lines.values() if line.waits_for]
     commander = found.leases[0] if found.leases else None
     match found.state:
@@ -104,7 +104,7 @@ def advice(found: Status) -> Advice:
 
 
 def header(found: Status) -> Text:
-    """State, what to do, odometry: three lines."""
+    """Return state, advice and odometry, in three lines."""
     words, at, to = advice(found), found.odometry, found.command
     text = Text(no_wrap=True, overflow="ellipsis")
     text.append(f" {found.state.upper()} ", _STATE_STYLES.get(found.state, "bold reverse"))
@@ -129,7 +129,7 @@ def _battery(found: Status) -> str:
 
 
 def joints(found: Status, history: History) -> Text:
-    """A line for each joint, after the heading."""
+    """Return a heading and a line for each joint."""
     text = Text(no_wrap=True, overflow="ellipsis")
     heading = f"{'joint':12} {'drive':9}{'set':>7}{'rad/s':>7}{'A':>6}{'°C':>5}{'age ms':>8}  trend"
     text.append(heading, HEAD)
@@ -151,7 +151,7 @@ def _age_ms(joint: Joint) -> str:
 
 
 def lines(found: Status, history: History, now_s: float) -> Text:
-    """A line for each fieldbus line, then the loop."""
+    """Return a line for each fieldbus line, then one for the loop."""
     text = Text(no_wrap=True, overflow="ellipsis")
     text.append(f"{'line':12} {'state':12}{'cycles/s':>9}{'p50 ms':>8}{'max ms':>8}  errors", HEAD)
     for name, line in found.lines.items():
@@ -181,7 +181,7 @@ def _numbers(line: LineStatus) -> str:
 
 
 def leases(found: Status) -> Text:
-    """The source in command, then those that wait."""
+    """Return the source in command, then the other ones."""
     text = Text(no_wrap=True, overflow="ellipsis")
     text.append(f"{'source':20} {'priority':>8}{'m/s':>8}{'rad/s':>8}{'1/s':>6}", HEAD)
     for number, lease in enumerate(found.leases):
@@ -197,7 +197,7 @@ def leases(found: Status) -> Text:
 
 
 def log_line(record: Mapping[str, Any]) -> Text:
-    """A record of the method `log`."""
+    """Return a record of the method `log` as a line."""
     clock = time.strftime("%H:%M:%S", time.localtime(record["time_s"]))
     text = Text(f"{clock} ", "dim")
     text.append(record["text"], _LEVEL_STYLES.get(record["level"], ""))
@@ -205,13 +205,13 @@ def log_line(record: Mapping[str, Any]) -> Text:
 
 
 def log_tail(records: Sequence[Mapping[str, Any]], rows: int) -> Text:
-    """The newest records, as many as there are rows."""
+    """Return the newest records, as many as there are rows."""
     newest = records[-rows:] if rows > 0 else ()
     return Text("\n", no_wrap=True, overflow="ellipsis").join(map(log_line, newest))
 
 
 def _fixed(value: float | None, digits: int) -> str:
-    """Without the sign of a zero; a dash for what is not measured."""
+    """Format a value, with no sign for zero; a dash if it is not measured."""
     if value is None or not math.isfinite(value):
         return "–"
     shown = f"{value:.{digits}f}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord doctor`: problems of this machine and this robot, and how to fix them."""
+"""`motord doctor`: find problems of this machine and this robot, and how to fix them."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _all(root: Root, robot: Robot | None, path: Path | None, *, drives: bool) ->
 def _running(
     robot: Robot | None, path: Path | None, cleanup: contextlib.ExitStack
 ) -> Client | None:
-    """That of the robot file, or the only one on this machine. None: there is none."""
+    """Return the daemon of the robot file, or the only one on this machine; None: no daemon."""
     try:
         where = path or find_socket(robot.robot.name if robot is not None else None)
         return cleanup.enter_context(Client(where))
@@ -136,7 +136,7 @@ def _show(finding: Finding) -> None:
 
 
 def _fix(found: Sequence[Finding], *, ask: bool, show: bool) -> list[str]:
-    """The checks whose fixes have all been applied."""
+    """Apply the fixes, and return the checks whose fixes have all been applied."""
     done = []
     for finding in found:
         if not finding.fixes:

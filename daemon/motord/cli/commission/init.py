@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord init`: from hardware to a robot file."""
+"""`motord init`: make a robot file for the connected drives."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord scan`: which drives answer on a serial port or a CAN bus, at which addresses."""
+"""`motord scan`: find the drives on a serial port or a CAN bus, and their addresses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def _units(_context: click.Context, _option: click.Parameter, text: str) -> range:
-    """`7` or `1-32`. Servos have the most; drives on Modbus 1 to 247."""
+    """Parse `7` or `1-32`. The range is that of servos, the largest; Modbus has 1 to 247."""
     from motord_hal.servo.packets import UNIT_MAX
 
     first, _, last = text.partition("-")
@@ -135,7 +135,7 @@ def _scan_can(port: str, baudrate: int | None, *, as_json: bool) -> None:
 
 
 def _report(port: str, found: list[Found], as_json: bool, advice: str) -> None:
-    """`advice`: what to do where nothing was found."""
+    """Print what was found. `advice`: what to do if nothing was found."""
     if as_json:
         print_json({"port": port, "found": [asdict(one) for one in found]})
     else:

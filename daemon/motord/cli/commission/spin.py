@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord spin`: the first turn of each wheel."""
+"""`motord spin`: turn each wheel for the first time."""
 
 from __future__ import annotations
 

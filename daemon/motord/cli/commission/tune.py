@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord tune`: gains for the speed loop of a wheel."""
+"""`motord tune`: find the gains for the speed loop of a wheel."""
 
 from __future__ import annotations
 

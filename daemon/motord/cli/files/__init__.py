@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands for robot files, drive profiles and what is written from them."""
+"""Commands for robot files, for drive profiles and for files that are made from them."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord check`: every problem of a robot file at once."""
+"""`motord check`: list every problem of a robot file at once."""
 
 from __future__ import annotations
 

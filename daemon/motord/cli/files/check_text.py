@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `motord check` has understood, for a person to read at a glance."""
+"""The summary of a robot file in `motord check`, for a person to read at a glance."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _WIDTH = 14
 
 
 def understood_rows(robot: Robot) -> Iterator[str]:
-    """The lines: a subject, and what follows from the file."""
+    """Return the lines of the summary: a subject, and what follows for it from the file."""
     found = understood(robot)
     base: list[tuple[str, str]] = [
         ("top speed", _speed(found)),
@@ -35,7 +35,7 @@ def understood_rows(robot: Robot) -> Iterator[str]:
 
 
 def _grouped(what: str, rows: Iterator[tuple[str, str]]) -> Iterator[tuple[str, str]]:
-    """Joints of which the same holds share a line."""
+    """Put joints with the same text on one line."""
     for text, group in itertools.groupby(sorted(rows, key=lambda row: row[1]), lambda row: row[1]):
         names = ", ".join(name for name, _ in group)
         yield what if "," not in names else f"{what}s", f"{names}: {text}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord drives`: the drive profiles."""
+"""`motord drives`: list, show, check and create drive profiles."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def _register(register: Register) -> str:
     ]
     text = f"  {register.address:#06x}  {register.name}: {register.type.value} {register.access}"
     if si_unit:
-        zero = register.to_si(0)  # not 0 where the drive counts from elsewhere
+        zero = register.to_si(0)  # not 0 if the drive counts from another value
         text += f", 1 is {register.to_si(1) - zero:.4g} {si_unit}"
         text += f" above {zero:.4g}" if zero else ""
     return ", ".join([text, *ends])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord drives new`: the start of a drive profile, from answers."""
+"""`motord drives new`: begin a drive profile from answers."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ _NOTE = 'watchdog_note = "it has none: give the robot an e-stop that cuts its po
 
 
 def new_drive(path: Path, answers_file: Path | None) -> None:
-    """Write a profile that is checked already. An existing file is never written over."""
+    """Write a new profile and check it. Never overwrites a file."""
     if path.suffix != ".toml":
         path = path.with_name(f"{path.name}.toml")
     if path.exists():

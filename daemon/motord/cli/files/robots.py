@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord robots`: the robot files that come with motord."""
+"""`motord robots`: list and print the example robot files of motord."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def robots(name: str | None, as_json: bool) -> None:
 
 
 def _title(text: str) -> str:
-    """The comment at the top of the file, its first sentence."""
+    """Return the first sentence of the comment at the top of the file."""
     rows = []
     for row in text.splitlines():
         if not row.startswith("#"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord ros2-msgs`: the ROS 2 package of our own types."""
+"""`motord ros2-msgs`: write the ROS 2 package of motord's own types."""
 
 from __future__ import annotations
 

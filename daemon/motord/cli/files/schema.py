@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord schema`: the JSON Schemas of the robot file and of drive profiles."""
+"""`motord schema`: print the JSON Schemas of the robot file and of drive profiles."""
 
 from __future__ import annotations
 

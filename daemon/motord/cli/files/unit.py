@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord unit`: what the systemd unit of a robot need be allowed."""
+"""`motord unit`: print the permissions that the systemd unit of a robot needs."""
 
 from __future__ import annotations
 

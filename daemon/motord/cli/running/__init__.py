@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands for a robot that runs: they talk to its daemon."""
+"""Commands that use the daemon of a running robot."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord joints: the joints of a robot without a base."""
+"""`motord joints`: move the joints of a robot without a base."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WITHIN_S = 30.0
 
 
 class JointValue(click.ParamType[tuple[str, float]]):
-    """NAME=VALUE, the value finite."""
+    """NAME=VALUE, with a finite value."""
 
     name = "NAME=VALUE"
 
@@ -87,7 +87,7 @@ def joints(
 
 
 def _arrived(status: dict[str, Any], position_rad: dict[str, float]) -> bool:
-    """All joints rest at their positions."""
+    """Return whether the robot is at rest with all joints at their positions."""
     at = {name: joint["position_rad"] for name, joint in status["joints"].items()}
     off_rad = [abs((at[name] or 0.0) - goal) for name, goal in position_rad.items()]
     return bool(status["at_rest"]) and all(off <= ARRIVED_RAD for off in off_rad)

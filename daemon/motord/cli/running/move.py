@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord move` and `motord turn`: a given distance or angle, by the odometry
+"""`motord move` and `motord turn`: drive a distance or turn by an angle, measured by the odometry
 (motord.api.moving)."""
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def turn(client: Client, angle_rad: float, as_json: bool, **asked: float | None)
 
 
 def _given(asked: Mapping[str, float | None]) -> dict[str, float]:
-    """The options that were given."""
+    """Return the options that were given."""
     return {name: value for name, value in asked.items() if value is not None}
 
 
@@ -116,8 +116,8 @@ def _carry_out(client: Client, goal: Goal, *, as_json: bool) -> None:
 
 
 class _Display:
-    """On stderr: what the robot's limit makes of the speed, once; on a terminal also how far it is,
-    one line, written over, and ended by `close`."""
+    """Progress on stderr: once the limit that the robot sets to the speed, and on a terminal one
+    line with the distance so far, which is overwritten and which `close` ends."""
 
     def __init__(self, goal: Goal) -> None:
         self._goal = goal

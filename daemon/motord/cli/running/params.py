@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord params`: limits of the running robot, registers of its drives, and how to save them in
-the robot file."""
+"""`motord params`: change limits of the running robot and registers of its drives, and save limits
+in the robot file."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def params_list(client: Client, as_json: bool) -> None:
         return
     width = max(map(len, found))
     for name, about in found.items():
-        value = about.get("access") or _number(about["value"])  # drives are asked by get
+        value = about.get("access") or _number(about["value"])  # only `get` reads from drives
         span = f"{about['minimum']:g} to {_number(about['maximum'])}"
         click.echo(f"{name:{width}}  {value:>7} {about['unit']:6} {span}; {about['description']}")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands for a running daemon, over its local socket alone."""
+"""Commands for a running daemon; they need its local socket alone."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ socket_option = click.option(
 
 
 def owner_option(usual: str) -> Callable[[Any], Any]:
-    """Of a command that holds a lease."""
+    """Return the option for the name of a lease."""
     return usual_option("--owner", str, usual, "The name under which this command holds its lease.")
 
 
 def talking(command: Callable[..., None]) -> Callable[..., None]:
-    """Gives the command a connected client, and reports an error in one sentence."""
+    """Give the command a connected client, and report an error in one sentence."""
 
     @robot_option
     @socket_option
@@ -69,8 +69,8 @@ def talking(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def located(command: Callable[..., None]) -> Callable[..., None]:
-    """As `talking`, for a command that makes its own connections: it gets the daemon's socket. A
-    command that stops the robot needs no connection: other programs may occupy all of them."""
+    """Give the command the daemon's socket, for a command that makes its own connections. A command
+    that stops the robot needs no connection, since other programs may occupy all of them."""
 
     @robot_option
     @socket_option
@@ -87,7 +87,8 @@ def located(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def status_of_refusal(client: Client) -> Exit:
-    """Whether a latched fault or emergency stop is the reason, or the request itself."""
+    """Return the exit status of a refused request: FAULT while a fault or an emergency stop is
+    latched or the drives are being configured, otherwise FAILED."""
     return Exit.FAULT if client.status()["state"] in _HINDERED else Exit.FAILED
 
 
@@ -98,7 +99,7 @@ def _status_of_refusal_at(path: Path) -> Exit:
 
 
 def _halted(path: Path, state: str, *, as_json: bool) -> None:
-    """As `_print_state`; why something is latched is left out where the daemon does not answer."""
+    """Show the resulting state, and why it is latched if the daemon still answers."""
     why: list[str] = []
     if state in _LATCHED:
         with contextlib.suppress(ClientError), Client(path, timeout_s=WHY_WITHIN_S) as client:
@@ -107,7 +108,7 @@ def _halted(path: Path, state: str, *, as_json: bool) -> None:
 
 
 def _print_state(client: Client, state: str, *, as_json: bool) -> None:
-    """The state that an act has led to; a latched one ends with its own exit status."""
+    """Show the resulting state, with the reason if it is latched."""
     _show_state(state, client.status()["why"] if state in _LATCHED else [], as_json=as_json)
 
 
@@ -200,7 +201,7 @@ def estop(robot: str | None, path: Path | None, as_json: bool) -> None:
         sockets = [path] if path else find_sockets(robot)
     except ClientError as error:
         raise Failure(str(error)) from error
-    for socket in sockets:  # the others are stopped, too, where one does not answer
+    for socket in sockets:  # if one robot does not answer, the others are stopped all the same
         try:
             states[socket.name.removesuffix(".sock")] = halt(socket, "estop")
         except ClientError as error:
@@ -298,7 +299,7 @@ def drive(
 def _say_limited(
     client: Client, linear_m_s: float, angular_rad_s: float, lateral_m_s: float
 ) -> None:
-    """What is asked for above a limit, and what the robot does instead."""
+    """Show which speed is above a limit, and what the robot does instead."""
     wanted = {"limits.linear_m_s": linear_m_s, "limits.angular_rad_s": angular_rad_s}
     if lateral_m_s != 0.0:
         if not client.call("robot").get("strafes"):
@@ -314,8 +315,8 @@ def _say_limited(
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[list[int]]:
-    """Grows with the first Ctrl-C, instead of an exception that may come to nothing where it cannot
-    be raised (in a finalizer); the second one ends the program."""
+    """Yield a list that grows with the first Ctrl-C; the second one ends the program. An exception
+    instead would be lost if it could not be raised (in a finalizer)."""
     interrupts: list[int] = []
 
     def interrupted(number: int, _: object) -> None:
@@ -333,7 +334,7 @@ def interruptible() -> Iterator[list[int]]:
 def _progress(
     client: Client, answer: dict[str, Any] | None, owner: str, *, last: bool = False
 ) -> None:
-    """One line on a terminal's stderr, written over."""
+    """Show one line on a terminal's stderr, which the next one overwrites."""
     if not sys.stderr.isatty():
         return
     found = client.status()

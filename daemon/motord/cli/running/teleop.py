@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord teleop`: drive by hand, over SSH or with a gamepad."""
+"""`motord teleop`: drive by hand, also over SSH, with the keyboard or a gamepad."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from motord.tools.teleop.terminal import NoTerminal, Terminal
 
 ANSWER_WITHIN_S = 2.0
 USUAL_M_S, USUAL_RAD_S = 0.5, 1.0
-"""Full speed of a robot that has no limit."""
+"""Full speeds of a robot that has no limit."""
 
 
 @click.command
@@ -87,7 +87,7 @@ async def _session(
     dead_man: DeadMan,
     pad: tuple[str | None, str, str | None],
 ) -> tuple[str, str]:
-    """Why it ended, and the state at the end; empty: the daemon does not answer."""
+    """Return why teleop ended, and the robot's last state; "": the daemon does not answer."""
     async with (
         Client(path, timeout_s=ANSWER_WITHIN_S) as robot,
         Client(path, timeout_s=ANSWER_WITHIN_S) as watcher,
@@ -107,7 +107,7 @@ async def _session(
 
 
 def _gamepad(device: str | None, dead_man: str, estop: str | None, speeds: Speeds) -> Gamepad:
-    """Raises Failure where it is missing."""
+    """Open the gamepad. Raises Failure if it or its package is missing."""
     from motord.config import JoystickInput
 
     try:

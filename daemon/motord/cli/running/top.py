@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord top`: the running robot on a full screen."""
+"""`motord top`: show the running robot on a full screen."""
 
 from __future__ import annotations
 
@@ -38,5 +38,5 @@ def top(robot: str | None, path: Path | None) -> None:
     def find() -> Path:
         return path or find_socket(robot)
 
-    find()  # a robot that is not there is reported before the screen is taken
+    find()  # report a missing robot before the screen is taken
     Top(find).run()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord trace`: every exchange of a line, decoded."""
+"""`motord trace`: show every exchange of a line, decoded."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _only_line(client: Client) -> str:
 
 
 def _exchanges(client: Client, line: str, first: dict[str, Any]) -> Iterator[tuple[Exchange, int]]:
-    """Until Ctrl-C, each with its time of day; entries that are missing are reported on stderr."""
+    """Yield each exchange with its time of day, until Ctrl-C; report missing entries on stderr."""
     joiner, number = Joiner(first["kind"]), int(first["newest"])
     with interruptible() as interrupts:
         while not interrupts:
@@ -106,7 +106,7 @@ def _exchanges(client: Client, line: str, first: dict[str, Any]) -> Iterator[tup
                 number = entry["number"]
                 for exchange in joiner.feed([entry]):
                     yield exchange, exchange.stamp_ns + offset_ns
-            if answer["newest"] < number:  # the daemon is another one
+            if answer["newest"] < number:  # the daemon was restarted
                 number = 0
             if answer["newest"] <= number:
                 time.sleep(LOOK_EVERY_S)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry, dead band and gyro from measured drives: motord calibrate."""
+"""Calibrate geometry, dead band and gyro by measured drives: motord calibrate."""

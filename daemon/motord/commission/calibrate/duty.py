@@ -2,9 +2,8 @@
 """Dead band and feed-forward of wheels whose drives take a duty: a line through measured speeds.
 
 duty = dead band + speed / full-duty speed · (1 − dead band), the inverse of which is wheel_duty in
-csrc/core/kinematics/wheel.h; static friction is the dead band, and viscous friction with back-EMF
-the slope.
-"""
+csrc/core/kinematics/wheel.h. Static friction is the dead band, and viscous friction with back-EMF
+is the slope."""
 
 from __future__ import annotations
 
@@ -25,14 +24,14 @@ from motord.config.sections.joint.wheels import all_reverse, takes_duty, takes_t
 
 OWNER = "motord-calibrate"
 LEVELS = (0.15, 0.25, 0.35, 0.5, 0.65, 0.8)
-"""Of the speed at most."""
+"""Speeds of the runs, as parts of the greatest speed."""
 LOOK_EVERY_S = 0.01
 HOLD_S, STEADY_S = 2.5, 0.8
-"""How long each level is held, and the end of it that is measured."""
+"""Time for which each level is held, and the part at its end that is measured."""
 STANDS_RAD_S = 0.1
 POINTS_MIN = 4
 MISFIT_MAX = 0.05
-"""Root mean square of the residuals, as a part of the greatest speed: more is not a line."""
+"""Greatest root mean square of the residuals of a line, as a part of the greatest speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +44,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DutyFit:
-    """One wheel."""
+    """The fitted line of one wheel."""
 
     dead_band: float
     dead_band_deviation: float
@@ -56,7 +55,7 @@ class DutyFit:
 
 
 def fit_duty(name: str, points: Sequence[Point]) -> DutyFit:
-    """Least squares of |speed| over |duty|, both directions as one. Raises Failed."""
+    """Fit |speed| over |duty| by least squares, both directions as one. Raises Failed."""
     moving = [each for each in points if abs(each.velocity_rad_s) > STANDS_RAD_S]
     if len(moving) < POINTS_MIN:
         raise Failed(
@@ -92,8 +91,8 @@ def fit_duty(name: str, points: Sequence[Point]) -> DutyFit:
 
 
 def duty_joints(robot: Robot, *, torque: bool = False) -> list[str]:
-    """Joints that can be calibrated so; `torque`: also those that take one. Raises Failed where
-    no joint can."""
+    """Return the joints whose drives take a duty or, with `torque`, a torque. Raises Failed if
+    there is no such joint."""
     profiles = robot.profiles
     found = [
         name
@@ -115,7 +114,7 @@ def duty_joints(robot: Robot, *, torque: bool = False) -> list[str]:
 def drive_levels(
     client: Client, person: Person, robot: Robot, speed_m_s: float
 ) -> list[tuple[Snapshot, ...]]:
-    """Short straight runs forward and back, at rising speeds, each from rest to rest. Raises
+    """Drive short straight runs forward and back, at rising speeds, each from rest to rest. Raises
     Failed, Aborted."""
     reverses = all_reverse(robot)
     if not person.confirm(_question(speed_m_s, reverses=reverses)):
@@ -134,7 +133,7 @@ def drive_levels(
 
 
 def duty_fits(robot: Robot, runs: Sequence[Sequence[Snapshot]]) -> dict[str, DutyFit]:
-    """Of each joint that takes a duty. Raises Failed."""
+    """Return the fit of each joint that takes a duty. Raises Failed."""
     places, profiles = list(robot.joint), robot.profiles
     return {
         name: fit_duty(name, [steady(run, places.index(name)) for run in runs])
@@ -157,7 +156,7 @@ def _question(speed_m_s: float, *, reverses: bool) -> str:
 
 
 def steady(snapshots: Sequence[Snapshot], index: int) -> Point:
-    """The mean over the end of the time for which the set-point was held."""
+    """Return the mean over the end of the time for which the set-point was held. Raises Failed."""
     wanted = [abs(each.joints[index].setpoint_rad_s) for each in snapshots]
     if not max(abs(each.joints[index].duty) for each in snapshots) > 0.0:
         raise Failed("a wheel got no duty: the robot file or a limit keeps it at rest")
@@ -175,9 +174,9 @@ def steady(snapshots: Sequence[Snapshot], index: int) -> Point:
 
 
 def _slope(places: Mapping[float, float]) -> float:
-    """The median of the slopes of all pairs (Theil-Sen: Sen, Journal of the American Statistical
-    Association 63, 1968): a reply that was late has the place of an earlier moment, and must not
-    bend the speed. Pairs that are near each other say little."""
+    """Return the median of the slopes of all pairs (Theil-Sen: Sen, Journal of the American
+    Statistical Association 63, 1968): a late reply has the position of an earlier moment, and must
+    not distort the speed. Pairs that are close in time are left out, since they show little."""
     times_s, angles_rad = np.array(list(places)), np.array(list(places.values()))
     first, second = np.triu_indices(len(times_s), 1)
     apart_s = times_s[second] - times_s[first]
@@ -187,14 +186,14 @@ def _slope(places: Mapping[float, float]) -> float:
 
 
 def _fed_s(snapshot: Snapshot, index: int) -> float:
-    """When the feedback that holds a wheel's position was received."""
+    """Return when the feedback that has a wheel's position was received."""
     return snapshot.stamp_ns * 1e-9 - snapshot.joints[index].feedback_age_s
 
 
 def duty_changes(
     robot: Robot, fits: Mapping[str, DutyFit], *, feed_forward: bool
 ) -> dict[KeyPath, Any]:
-    """Keys of the robot file. The dead band alone keeps the speed at duty 1."""
+    """Return keys of the robot file. Without `feed_forward` a given speed at duty 1 stays."""
     found: dict[KeyPath, Any] = {}
     for name, fit in fits.items():
         found["joint", name, "duty_dead_band"] = round(fit.dead_band, 4)
@@ -204,7 +203,7 @@ def duty_changes(
 
 
 def duty_words(robot: Robot, fits: Mapping[str, DutyFit]) -> list[str]:
-    """Before and after."""
+    """Return texts with the values before and after."""
     return [
         f"{name}: dead band {robot.joint[name].duty_dead_band:.4f} → {fit.dead_band:.4f} "
         f"± {fit.dead_band_deviation:.4f}, speed at duty 1 "

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feed-forward of wheels whose speed motord holds, from the ramps of `duty`: what the wheel is
-(`tune.fit`), as keys of the robot file. Of a duty, dead band and speed at duty 1 come from the
-steady speeds, which are more exact, and the ramps give the part of the acceleration."""
+"""Feed-forward of wheels whose speed motord controls: the model of the wheel (`tune.fit`) from the
+ramps of `duty`, as keys of the robot file. For a duty, dead band and speed at duty 1 come from the
+steady speeds, which are more exact; the ramps give the gain for the acceleration."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from motord.config.sections.joint.speed_loop import CoreGain, SpeedLoop
 from motord.config.sections.joint.wheels import gains_of, takes_duty
 
 FASTEST = 4
-"""How many of the runs are used: slow ones are mostly friction."""
+"""How many runs are used, from the fastest on; slow runs are mostly friction."""
 
 
 def plants_of(robot: Robot, runs: Sequence[tuple[Snapshot, ...]]) -> dict[str, Plant]:
-    """Of each wheel that is measured and whose speed motord holds, or could. Raises Failed."""
+    """Return the model of each measured wheel whose speed motord can control. Raises Failed."""
     places, found = list(robot.joint), {}
     for name, joint in robot.joint.items():
         profile = robot.profiles[joint.drive]
@@ -33,7 +33,7 @@ def plants_of(robot: Robot, runs: Sequence[tuple[Snapshot, ...]]) -> dict[str, P
 
 
 def plant_changes(robot: Robot, plants: Mapping[str, Plant]) -> dict[KeyPath, Any]:
-    """Keys of [joint.NAME.speed_loop]; what it has already is no change."""
+    """Return keys of [joint.NAME.speed_loop]; a value that it already has is no change."""
     return {
         ("joint", name, "speed_loop", key): value
         for name, plant in plants.items()
@@ -43,7 +43,7 @@ def plant_changes(robot: Robot, plants: Mapping[str, Plant]) -> dict[KeyPath, An
 
 
 def plant_words(robot: Robot, plants: Mapping[str, Plant]) -> list[str]:
-    """Before and after, with what is left over."""
+    """Return texts with the values before and after, and the residual."""
     return [
         f"{name}: "
         + ", ".join(f"{k} {was:g} \u2192 {value:g}" for k, (was, value) in keys.items())
@@ -54,7 +54,7 @@ def plant_words(robot: Robot, plants: Mapping[str, Plant]) -> list[str]:
 
 
 def _values(robot: Robot, name: str, plant: Plant) -> dict[str, tuple[float, float]]:
-    """Before and after, by key; rounded as the file gets them."""
+    """Return the values before and after, by key, rounded as in the file."""
     joint = robot.joint[name]
     has = joint.speed_loop or SpeedLoop()
     parts: dict[CoreGain, float] = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A fit of the geometry, as keys of the robot file and in words."""
+"""Convert a fit of the geometry to keys of the robot file and to texts."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ _FREE_OF: Mapping[str, tuple[Free, ...]] = {
     "all": ("scale", "ratio", "track"),
     "log": ("scale", "ratio", "track"),
 }
-"""What each kind of run determines."""
+"""Unknowns that each kind of run determines."""
 _DIGITS = 6
-"""A micrometre."""
+"""Digits after the point: radii and track are rounded to a micrometre."""
 
 
 def free_of(robot: Robot, what: str) -> tuple[Free, ...]:
-    """What runs of this kind determine. Raises Failed for a base that the fit does not describe."""
+    """Return the unknowns that this kind of run determines. Raises Failed for a base that the fit
+    does not describe."""
     base = robot.base
     if isinstance(base, TwoSidedBase):
         return _FREE_OF[what]
@@ -42,7 +43,7 @@ def free_of(robot: Robot, what: str) -> tuple[Free, ...]:
 
 
 def require_same(robot: Robot, described: Mapping[str, Any]) -> None:
-    """The file has to be the one that the daemon runs by. Raises Failed."""
+    """Check that the daemon runs with this file's radii and track. Raises Failed."""
     ours = {name: robot.wheel_radius_m(name) for name in robot.joint}
     theirs = described["wheel_radii_m"]
     if ours != theirs or robot.base.effective_track_m != described["effective_track_m"]:
@@ -53,7 +54,7 @@ def require_same(robot: Robot, described: Mapping[str, Any]) -> None:
 
 
 def changes(robot: Robot, fit: Fit, free: Sequence[Free]) -> dict[KeyPath, Any]:
-    """The keys that the fit gives."""
+    """Return the changed keys of the robot file."""
     if not isinstance(robot.base, TwoSidedBase):
         return _radius_changes(robot, fit.factors.left)
     found: dict[KeyPath, Any] = {}
@@ -77,7 +78,7 @@ def changes(robot: Robot, fit: Fit, free: Sequence[Free]) -> dict[KeyPath, Any]:
 
 
 def _radius_changes(robot: Robot, factor: float) -> dict[KeyPath, Any]:
-    """All wheels alike."""
+    """Return the keys of the wheel radii, all multiplied by one factor."""
     found: dict[KeyPath, Any] = {
         ("base", "wheel_radius_m"): round(robot.base.wheel_radius_m * factor, _DIGITS)
     }
@@ -88,7 +89,7 @@ def _radius_changes(robot: Robot, factor: float) -> dict[KeyPath, Any]:
 
 
 def words(robot: Robot, fit: Fit, measures: Sequence[Measure]) -> Iterator[str]:
-    """Before and after, with what is left over of each measure."""
+    """Return texts with the values before and after, and the residuals of each measure."""
     if isinstance(robot.base, TwoSidedBase):
         yield from _two_sided_rows(robot, fit)
     else:

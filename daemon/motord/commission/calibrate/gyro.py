@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How true the gyro is: its offset at rest, and its scale by turns that end at a mark on the
-floor."""
+"""Accuracy of the gyro: its offset at rest, and its scale by turns that end at a mark."""
 
 from __future__ import annotations
 
@@ -23,18 +22,18 @@ VARIANCE_MIN_RAD2_PER_RAD = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GyroFound:
-    """`scale`: true turn over the turn that the gyro has counted."""
+    """The result. `scale`: true turn over the turn that the gyro has counted."""
 
     bias_rad_s: float
     scale: float
     difference: float
-    """Between the scales of both directions: how exact the measure is."""
+    """Difference between the scales of both directions: how exact the measure is."""
 
 
 def measure_gyro(
     client: Client, person: Person, robot: Robot, turns: float, angular_rad_s: float
 ) -> GyroFound:
-    """Turns to the left and to the right. Raises Failed, Aborted."""
+    """Turn left and right, and request the angle to the mark. Raises Failed, Aborted."""
     if robot.imu is None:
         raise Failed("the robot file has no [imu]")
     if not person.confirm(
@@ -70,8 +69,8 @@ def measure_gyro(
 
 
 def gyro_changes(found: GyroFound) -> dict[KeyPath, Any]:
-    """The offset is measured again at each rest, and the robot file has no scale; it has the
-    variance that the scale's error causes: (error · 2π)² for a turn of 2π."""
+    """Return the key for the variance that the scale's error causes: (error · 2π)² for a turn of
+    2π. The robot file has no scale, and the daemon measures the offset again at each rest."""
     variance = (found.scale - 1.0) ** 2 * math.tau
     key = ("imu", "turn_variance_rad2_per_rad")
     return {key: float(f"{max(variance, VARIANCE_MIN_RAD2_PER_RAD):.3g}")}

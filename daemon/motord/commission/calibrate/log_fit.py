@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry from a recording with poses that another system has measured, as motion capture does.
+"""Geometry from a recording with poses that another system has measured, such as motion capture.
 
-The recording is cut into windows; each gives the motion that the poses saw and the one that the
-wheels rolled. Deviations come from how the windows scatter, so slip need not be known.
-"""
+The recording is cut into windows. For each one the motion in the poses is compared with the motion
+that the wheels rolled. The deviations come from the scatter of the windows, so slip need not be
+known."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from motord.commission.person import Failed
 COLUMNS = ("time_s", "x_m", "y_m", "heading_rad")
 ROWS_MAX = 2_000_000
 WINDOW_M = 0.6
-"""Path of a window: long against the noise of a pose, short against the way a wheel slips."""
+"""Path of a window: long against the noise of a pose, short against the distance of a slip."""
 WINDOWS_MIN = 20
 DEVIATION = Pose(0.01, 0.01, 0.01, math.nan)
 """Weights of position and heading against each other, for a window."""
@@ -30,17 +30,17 @@ DEVIATION = Pose(0.01, 0.01, 0.01, math.nan)
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """Samples of a recording, by time."""
+    """Samples of a recording, in the order of time."""
 
     pose: Array
-    """x_m, y_m, heading_rad; one row a sample, heading without wrap."""
+    """x_m, y_m, heading_rad; one row a sample; the heading is not wrapped."""
     left_m: Array
     right_m: Array
 
 
 def read_csv(path: Path, sides: Mapping[str, str], radii_m: Mapping[str, float]) -> Log:
-    """Columns time_s, x_m, y_m, heading_rad, and JOINT_rad for each joint: the angle of its wheel,
-    positive forward, no wrap. Raises Failed."""
+    """Read the columns time_s, x_m, y_m, heading_rad, and JOINT_rad for each joint: the angle of
+    its wheel, positive forward, not wrapped. Raises Failed."""
     joints = [f"{name}_rad" for name in sides]
     rows: list[list[float]] = []
     try:
@@ -71,7 +71,7 @@ def read_csv(path: Path, sides: Mapping[str, str], radii_m: Mapping[str, float])
 def sides_of(
     angles_rad: Array, sides: Mapping[str, str], radii_m: Mapping[str, float]
 ) -> tuple[Array, Array]:
-    """What left and right have rolled, from a column of wheel angles for each joint."""
+    """Return the distances rolled by left and right. `angles_rad`: a column for each joint."""
     rolled: dict[str, list[Array]] = {"left": [], "right": []}
     for place, (name, side) in enumerate(sides.items()):
         rolled[side].append(angles_rad[:, place] * radii_m[name])
@@ -80,7 +80,7 @@ def sides_of(
 
 
 def windows(log: Log, window_m: float = WINDOW_M) -> list[Measure]:
-    """The recording as measures. Raises Failed for one that is too short."""
+    """Cut the recording into measures. Raises Failed for one that is too short."""
     travel = np.cumsum(np.abs(np.diff(log.left_m)) + np.abs(np.diff(log.right_m))) / 2.0
     cuts = [0]
     for place, so_far in enumerate(travel, 1):

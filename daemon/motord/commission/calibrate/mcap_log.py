@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording in MCAP for `calibrate --from`: joint_states, and poses on a topic of another system.
-Needs the extra `calibrate`."""
+"""Read a recording in MCAP for `calibrate --from`: joint_states, and poses on a topic of another
+system. Needs the extra `calibrate`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from motord.commission.calibrate.log_fit import ROWS_MAX, Log, sides_of
 from motord.commission.person import Failed
 
 JOINTS = "joint_states"
-"""The topic's last part."""
+"""Last part of the topic's name."""
 
 
 def read_mcap(
     path: Path, topic: str, sides: Mapping[str, str], radii_m: Mapping[str, float]
 ) -> Log:
-    """Poses (geometry_msgs/PoseStamped, or nav_msgs/Odometry) at the times of the joint states, by
-    the stamps in both. Raises Failed."""
+    """Read the poses (geometry_msgs/PoseStamped, or nav_msgs/Odometry) at the times of the joint
+    states, by the stamps in both. Raises Failed."""
     joints: list[list[float]] = []
     poses: list[list[float]] = []
     topics: set[str] = set()
@@ -83,7 +83,7 @@ def _messages(path: Path) -> Iterator[tuple[str, Any]]:
 
 def _pose(path: Path, message: Any) -> list[float]:
     pose = message.pose
-    pose = getattr(pose, "pose", pose)  # of nav_msgs/Odometry: with a covariance
+    pose = getattr(pose, "pose", pose)  # nav_msgs/Odometry has a pose with a covariance
     try:
         at, turn = pose.position, pose.orientation
     except AttributeError as error:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A calibration from the first question to the keys of the robot file; what writes them comes
-after it. Needs numpy."""
+"""A calibration, from the first question to the changed keys; the caller writes the file. Needs
+numpy."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ GEOMETRY = ("straight", "rotate", "square")
 
 @dataclass(slots=True)
 class Calibration:
-    """What was measured; None and empty: that was not the subject."""
+    """The measured values; None or empty: this was not measured."""
 
     measures: list[Measure] = field(default_factory=list)
     fit: Fit | None = None
@@ -82,7 +82,8 @@ def fitted(
     *,
     robust: bool = False,
 ) -> Fit:
-    """Radii and track that explain the measures best. Raises BadData."""
+    """Find the radii and track that explain the measures best; show them and give them to `edit`.
+    Raises BadData."""
     robot = edit.before
     found = fit(measures, robot.base.effective_track_m, free, robust=robust)
     for text in words(robot, found, measures):

@@ -28,8 +28,8 @@ _MARK = "of the mark that you made at the start"
 
 @dataclass(slots=True)
 class Recorder:
-    """How far each side's wheels roll, by the radii that the daemon uses. Of a base without two
-    sides: how far it has moved ahead by the odometry, twice."""
+    """Distance that each side's wheels roll, computed with the daemon's radii. For a base without
+    two sides, both are the distance ahead by the odometry."""
 
     robot: dict[str, Any]
     _left_m: list[float] = field(default_factory=list)
@@ -37,7 +37,7 @@ class Recorder:
     _begin: Snapshot | None = None
 
     def add(self, snapshot: Snapshot) -> None:
-        """The newest state. Raises Failed for a wheel without a counter."""
+        """Add the newest state. Raises Failed for a wheel without a counter."""
         if two_sided(self.robot):
             left_m, right_m = self._sides(snapshot)
         else:
@@ -46,7 +46,7 @@ class Recorder:
         self._right_m.append(right_m)
 
     def path(self) -> tuple[Array, Array]:
-        """Left and right from 0 on."""
+        """Return the distances of left and right, which begin at 0."""
         left, right = np.array(self._left_m), np.array(self._right_m)
         return left - left[0], right - right[0]
 
@@ -61,27 +61,27 @@ class Recorder:
         return left_m, right_m
 
     def _ahead(self, snapshot: Snapshot) -> float:
-        """Along where it looked at the beginning: in proportion to the wheels' radius."""
+        """Return the distance along the first heading; it is proportional to the wheels' radius."""
         begin = self._begin = self._begin or snapshot
         dx_m, dy_m = snapshot.x_m - begin.x_m, snapshot.y_m - begin.y_m
         return dx_m * math.cos(begin.heading_rad) + dy_m * math.sin(begin.heading_rad)
 
 
 def two_sided(robot: Mapping[str, Any]) -> bool:
-    """Of the daemon's answer of `robot`: wheels on two sides, and no others."""
+    """Return whether a base, by the daemon's answer of `robot`, has wheels on two sides only."""
     return not (robot["strafes"] or robot["modules"])
 
 
 class Runs:
-    """Motions of one robot on the floor. Raises Aborted, Failed, ClientError."""
+    """Motions of one robot on the floor. They raise Aborted, Failed, ClientError."""
 
     def __init__(self, client: Client, person: Person, options: Mapping[str, float]) -> None:
-        """`options`: how far and how fast, by the names of motord.api.procedures."""
+        """`options`: distances and speeds, by the names of motord.api.procedures."""
         self._client, self._person, self._options = client, person, options
         self._robot: dict[str, Any] = client.call("robot")
 
     def straight(self) -> Iterator[Measure]:
-        """Forward and back on a line."""
+        """Drive forward and back on a line."""
         length_m = self._options["distance_m"]
         self._ready(
             f"Put the robot at the beginning of a straight line on the floor and mark where it "
@@ -100,7 +100,7 @@ class Runs:
             yield self._measure(name, recorder, Pose(x_m, y_m))
 
     def rotate(self) -> Iterator[Measure]:
-        """Turns on the spot to the left, then to the right."""
+        """Turn on the spot to the left, then to the right."""
         turns = self._options["turns"]
         self._ready(
             f"Mark on the floor where the robot's nose points. It turns {turns:g} times to the "
@@ -122,7 +122,7 @@ class Runs:
             before_rad = after_rad
 
     def square(self) -> Iterator[Measure]:
-        """Squares in both directions (UMBmark)."""
+        """Drive squares in both directions (UMBmark)."""
         side_m = self._options["side_m"]
         for name, sign in (("left", 1.0), ("right", -1.0)):
             self._ready(
@@ -181,6 +181,6 @@ class Runs:
 
 
 def _settle(session: Session, recorder: Recorder) -> None:
-    """The last counts come a cycle of the line after the rest."""
+    """Record until the last counts have come, one cycle of the line after the rest."""
     for newest in session.wait_still(SETTLE_S):
         recorder.add(newest)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same procedures for the dashboard, in a process of their own."""
+"""The guided procedures for the dashboard, in a process of their own."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A calibration as plots."""
+"""Plots of a calibration."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from motord.commission.page.pictures import Plot, Style, axis, plain, series
 from motord.config import Robot
 
 POINTS_MAX = 200
-"""Of a path."""
+"""Greatest number of points of a path in a plot."""
 
 
 def pictures(robot: Robot, found: Calibration) -> Iterator[Plot]:
-    """Of a calibration."""
+    """Return the plots of a calibration."""
     if found.fit is not None:
         yield _paths(found.measures, robot.base.effective_track_m, found.fit)
         yield from _misses(found.measures, found.fit)
@@ -30,7 +30,7 @@ def pictures(robot: Robot, found: Calibration) -> Iterator[Plot]:
 
 # --------------------------------------------------------------------------------------- geometry
 def path(measure: Measure, track_m: float, factors: Factors) -> tuple[Array, Array]:
-    """Where the wheels have carried the base: x and y, exact for arcs to the second order."""
+    """Return the path of the base by its wheels: x and y, exact for arcs to the second order."""
     left = np.diff(measure.left_m) * factors.left
     right = np.diff(measure.right_m) * factors.right
     turn = (right - left) / (track_m * factors.track)
@@ -59,7 +59,7 @@ def _paths(measures: Sequence[Measure], track_m: float, fit: Fit) -> Plot:
 
 
 def _misses(measures: Sequence[Measure], fit: Fit) -> Iterator[Plot]:
-    """How far each path ends from where it was measured."""
+    """Return plots of the distances between the end of each path and where it was measured."""
     when = (("before", fit.residuals_before), ("after", fit.residuals))
     parts = (("x_m", "along", 1e3, "mm"), ("y_m", "sideways", 1e3, "mm"),
              ("heading_rad", "heading", math.degrees(1.0), "°"))  # fmt: skip
@@ -92,7 +92,7 @@ def _duty(robot: Robot, fits: Mapping[str, DutyFit]) -> Plot:
 
 
 def _line(dead_band: float, full_duty_rad_s: float, most: float) -> tuple[list[float], list[float]]:
-    """As motord.commission.calibrate.duty describes it."""
+    """Return the line of motord.commission.calibrate.duty: duties and speeds."""
     duties = [dead_band, max(dead_band, most)]
     return duties, [full_duty_rad_s * (duty - dead_band) / (1.0 - dead_band) for duty in duties]
 

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The person at a page of the dashboard, for the procedures of `motord.commission`. Messages come
-and go as lines of JSON; motord-bus passes them on to the page and back.
+"""The person at a page of the dashboard, for the procedures of `motord.commission`. Messages are
+lines of JSON in both directions; motord-bus passes them between this process and the page.
 
-The robot may move only while the page is present: it is shown, its connection lives, and it shows
-the newest state. Whatever ends that ends the procedure at rest.
-"""
+The robot may move only while the page is present: it is visible, its connection lives, and it shows
+the newest state. When that is no longer so, the robot comes to rest and the procedure ends."""
 
 from __future__ import annotations
 
@@ -19,7 +18,8 @@ from motord.commission.page.pictures import Plot
 from motord.commission.person import Aborted
 
 PRESENT_S = 1.0
-"""A page that has not been seen for longer is gone: the motions are bounded, and slow."""
+"""Longest time without a sign of the page before it counts as gone; long enough since the motions
+are bounded and slow."""
 PROGRESS_EVERY_S = 0.1
 SILENT = "the connection to the page was interrupted: answer again"
 _TEXT_MAX = 200
@@ -27,9 +27,9 @@ _T = TypeVar("_T")
 
 
 class PagePerson:
-    """A Person. From the page: `{"answer": number, "value": ...}`, `{"present_s": ...}` (when the
-    page was there, by CLOCK_MONOTONIC), `{"stop": why}`. To it: `show`, `difference`, `picture`,
-    `progress`, `question`, one in a line."""
+    """A Person. The page sends `{"answer": number, "value": ...}`, `{"present_s": ...}` (the time
+    at which it was present, on CLOCK_MONOTONIC), `{"stop": why}`. It receives `show`, `difference`,
+    `picture`, `progress`, `question`, one a line."""
 
     def __init__(self, source: TextIO, sink: TextIO) -> None:
         self._source, self._sink = source, sink
@@ -43,7 +43,7 @@ class PagePerson:
 
     @property
     def why(self) -> str:
-        """Why the procedure was ended; empty: it was not."""
+        """Why the procedure was ended; empty: it was not ended."""
         return self._stopped
 
     # ----------------------------------------------------------------------------------- a Person
@@ -54,7 +54,7 @@ class PagePerson:
         self.send({"difference": text})
 
     def picture(self, plot: Plot) -> None:
-        """A plot of what was measured."""
+        """Show a plot of what was measured."""
         self.send({"picture": plot})
 
     def progress(self, text: str) -> None:
@@ -93,7 +93,7 @@ class PagePerson:
         return self._ask(question, about, finite)
 
     def aborted(self) -> bool:
-        """Stopped, or the page is gone; once true, it remains so."""
+        """Return whether the procedure was stopped or the page is gone; once true, it stays so."""
         with self._changed:
             silent_s = time.monotonic() - self._present_s
             if not self._stopped and not silent_s <= PRESENT_S:
@@ -102,7 +102,7 @@ class PagePerson:
 
     # ------------------------------------------------------------------------------------ messages
     def send(self, message: Mapping[str, Any]) -> None:
-        """One line. A page that is gone ends the procedure."""
+        """Send one line. If motord-bus is gone, the procedure ends."""
         try:
             self._sink.write(json.dumps(message, allow_nan=False) + "\n")
             self._sink.flush()
@@ -110,7 +110,8 @@ class PagePerson:
             self._stop("motord-bus has ended")
 
     def _ask(self, question: str, about: Mapping[str, Any], judge: Callable[[object], _T]) -> _T:
-        """The first answer that `judge` takes; it raises ValueError for others. Raises Aborted."""
+        """Ask until `judge` accepts an answer, and return it; it raises ValueError for others.
+        Raises Aborted."""
         problem = ""
         while True:
             with self._changed:
@@ -125,7 +126,7 @@ class PagePerson:
                 if self._answer is None:
                     raise Aborted(f"{self._stopped}: nothing was written")
                 value, silent_s = self._answer.get("value"), time.monotonic() - self._present_s
-            if not silent_s <= PRESENT_S:  # it may have waited on a link that was cut
+            if not silent_s <= PRESENT_S:  # the answer may have waited on an interrupted connection
                 problem = SILENT
                 continue
             try:
@@ -134,7 +135,7 @@ class PagePerson:
                 problem = str(error)
 
     def _read(self) -> None:
-        """The thread that takes what comes, until its end."""
+        """Handle incoming messages until the end of input; runs in a thread of its own."""
         for line in self._source:
             message = json.loads(line)
             if "stop" in message:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was measured, as plots that any user interface can draw: plain values, ready for JSON."""
+"""Plots of measured values that any user interface can draw: plain values, ready for JSON."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Any, Literal
 from motord.commission.spin.procedure import Turned
 
 Plot = dict[str, Any]
-"""title, x and y (title and unit), series; `equal`: both axes have one scale. Where it has `bars`,
-these are its categories, and there is no x."""
+"""A plot: title, x and y (title and unit), series; `equal`: both axes have the same scale. With
+`bars`, the categories of a bar chart, there is no x."""
 Style = Literal["line", "dashed", "points", "crosses"]
 
 
 def picture_of_turns(turns: Sequence[Turned]) -> Plot:
-    """Of `spin`: the angle that each encoder has counted, and the one that was commanded."""
+    """Return a plot of `spin`: the angle that each encoder has counted, and the commanded angle."""
     joints = list(turns[0].counted_rad)
     return {
         "bars": [f"{turned.joint} turns" for turned in turns],
@@ -36,15 +36,15 @@ def picture_of_turns(turns: Sequence[Turned]) -> Plot:
 
 
 def axis(title: str, unit: str) -> dict[str, str]:
-    """Of a plot."""
+    """Return an axis of a plot."""
     return {"title": title, "unit": unit}
 
 
 def series(title: str, style: Style, x: Iterable[float], y: Iterable[float]) -> dict[str, Any]:
-    """Of a plot that has an x."""
+    """Return a series of a plot that has an x."""
     return {"title": title, "style": style, "x": plain(x), "y": plain(y)}
 
 
 def plain(values: Iterable[float]) -> list[float | None]:
-    """JSON has no NaN."""
+    """Return the values rounded, with None for NaN and infinity, which JSON does not have."""
     return [round(float(value), 6) if math.isfinite(value) else None for value in values]

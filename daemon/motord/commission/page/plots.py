@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of what was measured. They need the extra `plot`."""
+"""Write pictures of measured values to files. Needs the extra `plot`."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from motord.commission.person import Failed
 
 @contextlib.contextmanager
 def picture(file: Path, rows: int, size_in: tuple[float, float]) -> Iterator[Any]:
-    """The axes of a new figure, one below the other with one horizontal axis; afterwards it is in
-    the file. Raises Failed."""
+    """Return the axes of a new figure, one below the other with a common horizontal axis; write the
+    figure to the file at the end. Raises Failed."""
     try:
         import matplotlib as mpl
 
@@ -37,8 +37,7 @@ def picture(file: Path, rows: int, size_in: tuple[float, float]) -> Iterator[Any
 
 
 def plot_paths(file: Path, measures: Sequence[Measure], track_m: float, found: Fit) -> None:
-    """Each path by the geometry before and after, and where it was measured to end. Raises
-    Failed."""
+    """Draw each path by the geometry before and after, and its measured end. Raises Failed."""
     with picture(file, 1, (7.0, 7.0)) as axes:
         for measure in measures:
             for factors, style in ((Factors(), "--"), (found.factors, "-")):

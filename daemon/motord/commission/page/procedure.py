@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One procedure for a page of the dashboard. motord-bus starts this module as a process, passes
-messages between it and the page (person.py), and kills it if it does not end. It commands as every
-other program does; dead_man.py disarms when it is gone.
+"""Run one procedure for a page of the dashboard. motord-bus starts this module as a process, passes
+messages between it and the page (person.py), and kills it if it does not end. It sends commands
+like every other program; dead_man.py disarms the robot when it ends.
 
-The first line that comes names the daemon's socket, the procedure, its options and the joints to
-turn; the last that goes is `{"end": ...}`.
-"""
+The first line of input names the daemon's socket, the procedure, its options and the joints to
+turn; the last line of output is `{"end": ...}`."""
 
 from __future__ import annotations
 
@@ -39,8 +38,9 @@ CLIENT_WITHIN_S = 30.0
 
 
 def carry_out(person: PagePerson, request: Mapping[str, Any]) -> dict[str, Any]:
-    """The procedure. `good`: it has a result; `text`: in words; `backup`: the robot file was
-    written; `new_file`: the text that it should have, but cannot be given."""
+    """Run the procedure and return its result. `good`: whether it has a result; `text`: the result
+    in words; `backup`: the backup, if the robot file was written; `new_file`: the new text of the
+    file, if it could not be written."""
     what = request["procedure"]
     try:
         options = chosen(what, request["options"])
@@ -142,7 +142,7 @@ def _require_numpy() -> None:
 
 
 def _written(person: PagePerson, edit: RobotFileEdit) -> dict[str, Any]:
-    """What becomes of the file."""
+    """Write the changed file, if the person confirms it, and return what became of it."""
     answer: dict[str, Any] = {"good": True, "file": str(edit.path), "backup": None}
     if not edit.changed:
         return answer
@@ -155,9 +155,9 @@ def _written(person: PagePerson, edit: RobotFileEdit) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Until the procedure has ended, or stdin has."""
+    """Run one procedure, until it or stdin ends."""
     messages = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what libraries print is no message
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # the prints of libraries are no messages
     request = json.loads(sys.stdin.readline())
     person = PagePerson(sys.stdin, messages)
     person.send({"end": carry_out(person, request)})

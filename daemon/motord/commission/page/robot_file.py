@@ -4,8 +4,7 @@ motord.commission.page.robot_file`; the request is on standard input, the answer
 both in JSON.
 
 A text from a page may name files of this machine, and a problem may quote what is in them. So a
-drive's profile is read only from the folder of the robot file, or where the file on disk has it.
-"""
+drive's profile is read only from the folder of the robot file, or if the file on disk names it."""
 
 from __future__ import annotations
 
@@ -34,12 +33,13 @@ ELSEWHERE = (
 
 
 def carry_out(request: Mapping[str, Any]) -> dict[str, Any]:
-    """`do` is "read", "check", "diff" or "save"; `file` is its path, `text` what it should have,
-    `sha256` that of the file on disk that the text was made from.
+    """Carry out a request and return the answer. In the request, `do` is "read", "check", "diff" or
+    "save", `file` the path, `text` the new text, and `sha256` that of the file from which the text
+    was made.
 
-    The answer has `file`, the `sha256` of the file on disk, `problems` and `warnings` as `motord
-    check` has them; of "read" the `text`; of "diff" and "save" the `diff`; `backup` where it was
-    written. `failed`, `changed`, `unwritable`: why not, in words.
+    The answer has `file`, the `sha256` of the file on disk, and `problems` and `warnings` like
+    `motord check`; after "read" the `text`; after "diff" and "save" the `diff`; `backup` if the
+    file was written. `failed`, `changed` and `unwritable` are reasons, in words, why it was not.
     """
     what = request["do"]
     try:
@@ -75,13 +75,13 @@ def _checked(edit: RobotFileText) -> dict[str, Any]:
 
 
 def _profiles_elsewhere(edit: RobotFileText) -> Iterator[Problem]:
-    """Drives whose profile a page must not have read. Raises ConfigError for what is no TOML."""
+    """Return drives whose profiles a page must not have read. Raises ConfigError for bad TOML."""
     known: set[str] = set()
     if edit.changed:
         try:
             known = set(_drives(parse(edit.path, read_text(edit.path))).values())
         except ConfigError:
-            known = set()  # it names nothing
+            known = set()  # it names no drives
     folder = edit.path.parent
     for joint, drive in _drives(parse(edit.path, edit.text)).items():
         if not (is_file_name(drive) and edit.changed) or drive in known:
@@ -100,7 +100,7 @@ def _in_folder(folder: Path, drive: str) -> bool:
 
 
 def _drives(data: Mapping[str, Any]) -> dict[str, str]:
-    """Joint → drive, where both are what they should be."""
+    """Return the drive of each joint, as far as the types of both are right."""
     joints = data.get("joint")
     named = joints.items() if isinstance(joints, dict) else ()
     drives = {name: joint.get("drive") for name, joint in named if isinstance(joint, dict)}
@@ -118,7 +118,7 @@ def _saved(edit: RobotFileText) -> dict[str, Any]:
 
 
 def main() -> None:
-    """One request, one answer."""
+    """Answer one request."""
     answer = carry_out(json.load(sys.stdin))
     json.dump(answer, sys.stdout, allow_nan=False)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Step responses before and after: as a picture, which needs the extra `plot`, as plots of a user
+"""Step responses before and after: as a picture, which needs the extra `plot`, as plots for a user
 interface, or as a line of text."""
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ COLUMNS = 60
 
 
 def plot_responses(file: Path, tuned: Tuned) -> None:
-    """The fastest step, before and after. Raises Failed."""
+    """Draw the fastest step, before and after. Raises Failed."""
     with picture(file, 2, (8.0, 6.0)) as (speed, output):
         for runs, name, style in (
             (tuned.before_runs, "before", "--"),
@@ -37,7 +37,7 @@ def plot_responses(file: Path, tuned: Tuned) -> None:
 
 
 def pictures_of_steps(tuned: Tuned) -> Iterator[Plot]:
-    """The fastest step before and after, and the plant that explains the wheel's answer."""
+    """Return plots of the fastest step before and after, and of the error of the model."""
     before, after = _fastest(tuned.before_runs), _fastest(tuned.after_runs)
     time, speed = axis("time", "s"), axis("speed of the wheel", "rad/s")
     yield {
@@ -66,7 +66,7 @@ def pictures_of_steps(tuned: Tuned) -> Iterator[Plot]:
 
 
 def sparklines(tuned: Tuned) -> list[str]:
-    """The fastest step: set-point, before, after; all to one scale."""
+    """Return the fastest step as text: set-point, before, after; all on one scale."""
     before, after = _fastest(tuned.before_runs), _fastest(tuned.after_runs)
     rows = {
         "set-point": (after.time_s, after.want_rad_s),

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Questions, and the robot file that follows from the answers: motord init."""
+"""The questions of motord init, and the robot file that follows from the answers."""

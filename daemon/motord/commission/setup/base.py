@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `motord init` asks about the base: kind, sizes, and which drive turns which wheel."""
+"""Questions of `motord init` about the base: kind, sizes, and which drive turns which wheel."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 KINDS = ("differential", "skid", "mecanum", "omni", "ackermann", "tricycle", "swerve")
 STRAFING = ("mecanum", "omni", "swerve")
-"""Bases that move sideways too."""
+"""Kinds of bases that also move sideways."""
 WITH_WHEELBASE = ("mecanum", "ackermann", "tricycle", "swerve")
 RADIUS_USUAL_M, TRACK_USUAL_M = (0.02, 0.4), (0.08, 3.0)
 WHEELS_OF_OMNI = (3, 8)
 ENDS = ("front", "rear")
 PLACES = ("front-left", "front-right", "rear-left", "rear-right")
 SKID_SLIP_FACTOR = 1.5
-"""A value to begin with: a base whose wheels scrub turns less than its track suggests."""
+"""Initial value: a base whose wheels scrub turns less than its track suggests."""
 
 
 def base_of(person: Person, given: Given) -> dict[str, Any]:
-    """The keys of [base], kind first. Raises Failed, Aborted."""
+    """Request the keys of [base] and return them, kind first. Raises Failed, Aborted."""
     kind = given.base or person.choose(
         "Which base? differential: two driven sides, casters follow. skid: wheels on two sides "
         "that scrub. mecanum: four wheels with rollers at 45 degrees. omni: three or more wheels "
@@ -82,8 +82,8 @@ def wheels_of(
     channels: Sequence[int],
     more: Mapping[str, Any],
 ) -> tuple[Wheel, ...]:
-    """Each wheel with the drive that turns it. `units`: that answered; `channels`: of one drive.
-    Raises Failed, Aborted."""
+    """Return each wheel with the drive that turns it. `units`: those that answered the scan;
+    `channels`: those of one drive. Raises Failed, Aborted."""
     places = _places(person, given, base["kind"])
     if unknown := sorted(given.addresses.keys() - {name for name, _ in places}):
         names = ", ".join(name for name, _ in places)
@@ -101,7 +101,7 @@ def wheels_of(
 
 
 def _places(person: Person, given: Given, kind: str) -> list[tuple[str, dict[str, Any]]]:
-    """Name of each wheel, and the keys that place it."""
+    """Return the name of each wheel, and the keys that place it."""
     if kind == "mecanum":
         return [(place.replace("-", "_"), {"place": place}) for place in PLACES]
     if kind != "omni":
@@ -123,7 +123,7 @@ def _places(person: Person, given: Given, kind: str) -> list[tuple[str, dict[str
 def usual_addresses(
     count: int, units: Sequence[int], channels: Sequence[int]
 ) -> list[tuple[int, int]]:
-    """The usual ones: all channels of the first unit, then of the next."""
+    """Return the usual addresses: all channels of the first unit, then those of the next one."""
     each = channels if len(channels) > 1 else channels[:1]
     needed = math.ceil(count / len(each))
     found = list(units)[:needed]
@@ -141,7 +141,7 @@ def ask_address(person: Person, name: str, proposed: tuple[int, int]) -> tuple[i
 
 
 def unit_and_channel(text: str) -> tuple[int, int]:
-    """`1.2`, or `1` for the first channel. Raises Failed."""
+    """Parse `1.2`, or `1` for the first channel. Raises Failed."""
     unit, _, channel = text.partition(".")
     if not unit.isascii() or not unit.isdigit() or not (channel or "1").isdigit():
         raise Failed(f'"{text}" is not a unit and channel, as 1.2')
@@ -152,7 +152,7 @@ def unit_and_channel(text: str) -> tuple[int, int]:
 def asked(
     person: Person, given: float | None, question: str, unit: str, low: float, high: float
 ) -> float:
-    """A number: the option's, or the person's. Raises Failed, Aborted."""
+    """Return a number: the given option, or the person's answer. Raises Failed, Aborted."""
     if given is None:
         return person.number(question, unit, low, high)
     if not low <= given <= high:
@@ -168,7 +168,7 @@ def plausible(
     span: tuple[float, float],
     aloud: Callable[[float], str],
 ) -> float:
-    """`plausible_number` of a length."""
+    """Request a length like `plausible_number`."""
     return plausible_number(person, given, question, "m", usual, span, aloud)
 
 
@@ -181,7 +181,7 @@ def plausible_number(
     span: tuple[float, float],
     aloud: Callable[[float], str],
 ) -> float:
-    """One that is not usual is asked about. An option is believed, but named."""
+    """Request a number, and confirm an unusual one. An unusual option is only shown."""
     while True:
         value = asked(person, given, question, unit, *span)
         if usual[0] <= value <= usual[1]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drives may be connected to on this machine: serial ports, CAN interfaces, PWM chips."""
+"""Ports to which drives can be connected: serial ports, CAN interfaces, PWM chips."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from motord_hal.can.netlink import bit_rate
 from motord_hal.serial.sysfs import usb_ports
 
 ARPHRD_CAN = "280"
-"""Linux: include/uapi/linux/if_arp.h."""
+"""Type of a CAN interface in Linux: include/uapi/linux/if_arp.h."""
 FD_BITRATE = 5_000_000
-"""What CAN FD transceivers of drives carry."""
+"""Bit rate that CAN FD transceivers of drives can carry."""
 USUAL_BITRATE = 500_000
-"""Of CAN, where the adapter does not report it."""
+"""Bit rate of a CAN bus whose adapter does not report it."""
 CANFD_MTU = "72"
-"""Linux: include/uapi/linux/can.h."""
+"""MTU of a CAN FD interface in Linux: include/uapi/linux/can.h."""
 BOARD_PORTS = ("ttyAMA*", "ttyTHS*", "ttymxc*", "serial[0-9]*")
-"""UARTs on the pins of a board; ttyS of a PC are mostly not there."""
+"""UARTs on the pins of a board. The ttyS of a PC are left out: most of them have no hardware."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a line can be opened."""
+    """A port or interface on which a line can be opened."""
 
     kind: Literal["serial", "can", "pwm"]
     name: str
-    """As the robot file takes it."""
+    """Name in the form of the robot file."""
     about: str
 
 
 def places(root: Path = Path("/")) -> list[Place]:
-    """All of them; the same names after the next boot, where there are such."""
+    """Return all places, by names that stay the same after a restart where there are such names."""
     found = [
         Place("serial", _stable(root, port.device), port.description or "") for port in usb_ports()
     ]
@@ -54,8 +54,8 @@ def places(root: Path = Path("/")) -> list[Place]:
 
 
 def place_of(name: str) -> Place:
-    """One that a person names: a device file, usb:SERIAL, a CAN interface (can0, or KIND:CHANNEL of
-    another adapter), or pwmchipN."""
+    """Return the place that a person names: a device file, usb:SERIAL, a CAN interface (can0, or
+    KIND:CHANNEL of another adapter), or pwmchipN."""
     if name.startswith("pwmchip"):
         return Place("pwm", name, "")
     if name.startswith(("/", "usb:", ".")):
@@ -64,13 +64,13 @@ def place_of(name: str) -> Place:
 
 
 def can_address(name: str) -> str:
-    """INTERFACE:CHANNEL of a CAN bus; a name alone is one of the kernel's interfaces."""
+    """Return INTERFACE:CHANNEL of a CAN bus; a name alone is one of the kernel's interfaces."""
     return name if ":" in name else f"socketcan:{name}"
 
 
 def interface_bit_rate(address: str) -> int | None:
-    """Bits a second that the kernel's interface is set to; None: it does not report it, or there is
-    no such interface."""
+    """Return the bits a second that the kernel's interface is set to; None: it does not report it,
+    or there is no such interface."""
     interface, _, channel = address.partition(":")
     if interface != "socketcan":
         return None
@@ -80,7 +80,7 @@ def interface_bit_rate(address: str) -> int | None:
 
 
 def carries_fd(address: str, root: Path = Path("/")) -> bool:
-    """Whether frames of CAN FD can be sent there now."""
+    """Return whether frames of CAN FD can be sent there now."""
     interface, _, channel = address.partition(":")
     if interface == "socketcan":
         return _text(root / f"sys/class/net/{channel}/mtu") == CANFD_MTU
@@ -88,7 +88,7 @@ def carries_fd(address: str, root: Path = Path("/")) -> bool:
 
 
 def _stable(root: Path, device: str) -> str:
-    """Its link in /dev/serial/by-id, else the device file."""
+    """Return the device's link in /dev/serial/by-id, otherwise the device file."""
     for link in sorted((root / "dev/serial/by-id").glob("*")):
         if link.resolve().name == Path(device).name:
             return f"/{link.relative_to(root)}"

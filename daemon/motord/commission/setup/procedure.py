@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guided set-up behind `motord init`: finds the drives, asks what it cannot know."""
+"""The guided set-up of `motord init`: it finds the drives; a person answers the other questions."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ LINE_KINDS = {
     "ascii": "ascii", "roboclaw": "roboclaw", "feetech": "feetech", "dynamixel": "dynamixel",
     "hoverboard": "hoverboard", "hoverboard-steer": "hoverboard", "sabertooth": "sabertooth",
 }  # fmt: skip
-"""Protocol of a profile → kind of its line."""
+"""Kind of the line, by the protocol of a profile."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Given:
-    """Answers that came as options; None: ask."""
+    """Answers that were given as options; None: the person is asked."""
 
     name: str | None = None
     place: str | None = None
@@ -52,9 +52,9 @@ class Given:
     track_m: float | None = None
     wheelbase_m: float | None = None
     radius_m: float | None = None
-    """Of an omni base: from its middle to its wheels."""
+    """Distance from the middle of an omni base to its wheels."""
     wheel_count: int | None = None
-    """Of an omni base, and of a swerve base."""
+    """Number of wheels of an omni or swerve base."""
     linear_m_s: float | None = None
     lateral_m_s: float | None = None
     angular_rad_s: float | None = None
@@ -69,25 +69,25 @@ class Given:
     addresses: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     """Unit and channel by the name of a joint."""
     steered: str | None = None
-    """Of a car: the axle that is steered."""
+    """The steered axle of a car."""
     driven: str | None = None
-    """Of a car: which motors drive it (motord.commission.setup.steered.DRIVEN)."""
+    """Which motors drive a car (motord.commission.setup.steered.DRIVEN)."""
     steering_count: int | None = None
-    """Of a car: how many drives steer."""
+    """How many drives steer a car."""
     steering_drive: str | None = None
     steering_place: str | None = None
     steering_max_rad: float | None = None
     steering_rad_s: float | None = None
     steering_gear_ratio: float | None = None
     zero_count: int | None = None
-    """Of the drives that steer; None: the middle of their turn."""
+    """Counter value straight ahead of the drives that steer; None: the middle of their range."""
     scan: bool = True
     units: range = range(1, 17)
     scan_within_s: float = 60.0
 
 
 def set_up(person: Person, given: Given, file: Path) -> Answers:
-    """Ask everything. Raises Failed, Aborted."""
+    """Ask all questions. Raises Failed, Aborted."""
     place = _place(person, given)
     if given.drive is not None:
         _require_rolls(_profile(given.drive, place), file)  # before a scan that takes a minute
@@ -129,7 +129,7 @@ def set_up(person: Person, given: Given, file: Path) -> Answers:
 
 # ------------------------------------------------------------------------------- where and what
 def _place(person: Person, given: Given) -> Place | None:
-    """None: simulated."""
+    """Return where the drives are connected; None: they are simulated."""
     name = given.place
     if name is None:
         found = places()
@@ -146,7 +146,7 @@ def _place(person: Person, given: Given) -> Place | None:
 
 
 def _scanned(person: Person, given: Given, place: Place | None) -> list[Found]:
-    """Which drives answer there. The scan only reads."""
+    """Return the drives that answer there. The scan only reads."""
     if place is None or place.kind == "pwm" or not given.scan:
         return []
     try:
@@ -211,7 +211,7 @@ def _drive(
 
 
 def _profile(name: str, place: Place | None) -> DriveProfile:
-    """Raises Failed for one that is not there, or not for such a place."""
+    """Load a profile. Raises Failed if it does not exist or does not fit the place."""
     try:
         profile = find_profile(name)
     except ProfileError as error:
@@ -227,12 +227,12 @@ _EXAMPLE_ON_PINS = {
     "rc-servo": "ackermann-servo-pwm",
     "servo-pulse": "ackermann-servo-pwm",
 }
-"""Of drives that the usual example does not have."""
+"""Examples for drives that the usual example does not have."""
 
 
 def _require_rolls(profile: DriveProfile, file: Path) -> None:
-    """Raises Failed for a drive that needs more answers than these, and names the example that has
-    them."""
+    """Check that the drive rolls a wheel and needs no more than these answers. Raises Failed, with
+    the example to begin with."""
     _require_no_pins(profile, file)
     if takes_positions(profile):
         raise Failed(f'drive "{profile.name}" takes positions: it steers a wheel, and rolls none')
@@ -254,12 +254,12 @@ def _require_no_pins(profile: DriveProfile, file: Path) -> None:
 
 
 def name_fits(found: Found, drive: str) -> bool:
-    """Whether it may be such a drive: another device on the CAN bus is no wheel."""
+    """Return whether it may be such a drive: another device on the CAN bus is no wheel."""
     return not found.matches or drive in [match.profile for match in found.matches]
 
 
 def _require_match(person: Person, given: Given, found: list[Found], name: str) -> None:
-    """The registers that answered have to be those of the profile."""
+    """Check that the registers that answered are those of the profile. Raises Failed."""
     for one in found:
         fitting = [match.profile for match in one.matches]
         if not fitting or name in fitting:
@@ -314,7 +314,7 @@ def _steering(
     line: Mapping[str, Any],
     file: Path,
 ) -> tuple[Steering, dict[str, Any] | None]:
-    """The drives that steer, and their line where it is not that of the others."""
+    """Request the drives that steer. The second result is their line; None: they share one."""
     where = given.steering_place or (
         SAME if place is None or given.steering_drive is not None
         else person.text("Where are the drives that steer connected?", SAME)
@@ -343,7 +343,7 @@ def _steering(
 
 
 def takes_positions(profile: DriveProfile) -> bool:
-    """Whether its set-point is an angle."""
+    """Return whether the set-point of these drives is an angle."""
     return next(iter(profile.channels.values())).position_setpoint is not None
 
 
@@ -376,7 +376,7 @@ def _line(
 
 
 def simulated_ports(file: Path) -> Path:
-    """Where `motord simulate --link-dir` puts the ports of this robot."""
+    """Return where `motord simulate --link-dir` puts the ports of this robot."""
     return file.absolute().with_suffix(".ports")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot file from answers: commented, without a publisher, as fast as its line carries."""
+"""Write a robot file from answers: commented, without a publisher, as fast as its line carries."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from motord.config import ConfigError, Robot, load_robot
 from motord_hal.base.paths import config_dir
 
 CYCLES_HZ = (50.0, 30.0, 20.0, 10.0, 5.0, 3.0, 2.0)
-"""The fastest that the line carries is taken."""
+"""Cycle rates to try; the fastest one that the line carries is taken."""
 _DECELERATION, _ACCELERATION_S = 1.5, 1.0
-"""Braking is harder than speeding up, which takes a second to full speed."""
+"""Deceleration as a multiple of the acceleration, and the time to accelerate to full speed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wheel:
-    """One joint: name, the keys that place it on the base, where its motor is, further keys."""
+    """One joint: its name, the keys of its place on the base, its motor's address, further keys."""
 
     name: str
     placed: Mapping[str, Any]
-    """As {"side": "left"}."""
+    """Keys that place it on the base, such as {"side": "left"}."""
     unit: int
     channel: int
     inverted: bool = False
     line: str = "main"
     drive: str = ""
-    """Empty: as Answers has it."""
+    """Name of its profile; empty: that of Answers."""
     more: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answers:
-    """All that `motord init` asks."""
+    """All answers to the questions of `motord init`."""
 
     name: str
     base: Mapping[str, Any]
@@ -47,15 +47,15 @@ class Answers:
     lateral_m_s: float | None
     """None: the base cannot move sideways."""
     line: Mapping[str, Any]
-    """Keys of the line, but for cycle_hz."""
+    """Keys of the line, without cycle_hz."""
     drive: str
     wheels: tuple[Wheel, ...]
     other_lines: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """By name, as `line`."""
+    """Keys of each other line, by its name."""
 
 
 def robot_text(answers: Answers, file: Path) -> tuple[str, Robot]:
-    """The text of the file, and the robot that it describes. Raises ConfigError."""
+    """Return the text of the file and the robot that it describes. Raises ConfigError."""
     problem: ConfigError | None = None
     for cycle_hz in CYCLES_HZ:
         text = _text(answers, cycle_hz)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `motord init` asks about steered wheels: which wheels are driven and steered, by which
+"""Questions of `motord init` about steered wheels: which wheels are driven and steered, by which
 drives, and how far and how fast they steer."""
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
 STEERED = ("ackermann", "tricycle", "swerve")
 DRIVEN = ("axle", "pair", "steered")
 LINE = "steering"
-"""Name of the line of drives that steer and are not where those that drive are."""
+"""Name of the line of the drives that steer, if they are not on the line of those that drive."""
 MODULES = {
     4: PLACES,
     3: ("front", "rear-left", "rear-right"),
     2: ("front-left", "rear-right"),
 }
-"""Where the modules of a swerve base usually are, by their number."""
+"""Usual places of the modules of a swerve base, by their number."""
 _CAR_USUAL_RAD = (math.radians(10.0), math.radians(80.0))
 _SWERVE_LEAST_RAD = math.pi / 2.0
 
@@ -57,7 +57,7 @@ def steered_wheels(
     more: Mapping[str, Any],
     steering: Steering,
 ) -> tuple[Wheel, ...]:
-    """Joints that drive, and joints that steer. Raises Failed, Aborted."""
+    """Return the joints that drive and the joints that steer. Raises Failed, Aborted."""
     driven, steered = _joints(person, given, base)
     known = [*driven, *steered]
     if unknown := sorted(given.addresses.keys() - set(known)):
@@ -89,7 +89,7 @@ def steered_wheels(
 def _joints(
     person: Person, given: Given, base: Mapping[str, Any]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Joints that drive and joints that steer, with their places."""
+    """Return the joints that drive and the joints that steer, with their places."""
     if base["kind"] == "swerve":
         names = {place.replace("-", "_"): place for place in _modules(person, given)}
         return names, {f"{name}_steering": place for name, place in names.items()}
@@ -118,7 +118,7 @@ def _joints(
 
 
 def _modules(person: Person, given: Given) -> tuple[str, ...]:
-    """Their places. Raises Failed."""
+    """Return the places of the modules. Raises Failed."""
     count = given.wheel_count
     if count is None:
         count = int(

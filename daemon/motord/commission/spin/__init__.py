@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One wheel at a time turns, and the robot file is put right: motord spin."""
+"""Turn one wheel at a time and correct the robot file by the result: motord spin."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What first turns of the wheels mean: wires, encoders and keys of the file that are wrong."""
+"""Conclusions from the first turns of the wheels: wrong wires, encoders and keys of the file."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from motord.config.sections.joint.wheels import (
 )
 
 ADDRESS_KEYS = ("line", "drive", "unit", "channel", "pins", "encoder")
-"""Where a joint's motor is; what is swapped when two wheels are."""
+"""Keys that say where a joint's motor is; they are swapped when two wheels are."""
 CURRENT_A = 0.1
-"""A motor that draws less has no power."""
+"""A motor that draws less current than this has no power."""
 REACHED_RAD = 0.1
-"""A joint that steers and is off by more has not reached its goal."""
+"""Greatest error of a joint that steers and has reached its goal."""
 STRAIGHT_RAD = math.radians(1.0)
-"""As exact as a person sees where a wheel points."""
+"""How exactly a person sees where a wheel points."""
 
 
 @dataclass(slots=True)
 class Findings:
-    """Texts for the person; keys that the robot file should have."""
+    """Texts for the person, and keys that the robot file should have."""
 
     texts: list[str] = field(default_factory=list)
     changes: dict[KeyPath, Any] = field(default_factory=dict)
 
     @property
     def good(self) -> bool:
-        """Nothing is wrong."""
+        """Whether nothing is wrong."""
         return not self.texts
 
 
 def findings(robot: Robot, turns: Sequence[Turned]) -> Findings:
-    """What is wrong, and what the robot file should have instead."""
+    """Return what is wrong, and what the robot file should have instead."""
     found = Findings()
     for turned in turns:
         if turned.note:
@@ -75,11 +75,12 @@ def _reached(turned: Turned, found: Findings) -> None:
 
 
 def _zero(robot: Robot, turned: Turned, found: Findings) -> None:
-    """The counter at which the wheel points straight ahead. It stood at the joint's zero_count when
-    it was off by so much: angle = (count - zero_count) · rad_per_count."""
+    """Find the counter value at which the wheel points straight ahead. The counter was at the
+    joint's zero_count when the wheel was off by `off_rad`: angle = (count - zero_count) ·
+    rad_per_count."""
     wheel, source = turned.seen, robot.joint[turned.joint]
     if wheel != turned.joint and not any(path[1] == wheel for path in found.changes):
-        return  # which ones are swapped is not known
+        return  # it is not known which ones are swapped
     off_rad = turned.off_straight_rad[wheel]
     off_rad = off_rad if abs(off_rad) >= STRAIGHT_RAD else 0.0
     if off_rad:
@@ -183,7 +184,7 @@ def _scale(robot: Robot, turned: Turned, found: Findings) -> None:
 
 # --------------------------------------------------------------------------------------- the wheels
 def _wheels(robot: Robot, turns: Sequence[Turned], found: Findings) -> None:
-    """Which joint's address turns which wheel; the file gets the addresses of the wheels."""
+    """Find out which joint's address turns which wheel, and give the file the right addresses."""
     seen = [turned for turned in turns if turned.seen]
     swapped = [turned for turned in seen if turned.seen != turned.joint]
     for turned in swapped:
@@ -214,7 +215,7 @@ def _wheels(robot: Robot, turns: Sequence[Turned], found: Findings) -> None:
 
 
 def _counted(turned: Turned) -> bool:
-    """Whether its own encoder counted, or measures no position."""
+    """Return whether the joint's own encoder counted, or measures no position."""
     own_rad = turned.counted_rad[turned.joint]
     return not abs(own_rad) < TURNED_RAD
 

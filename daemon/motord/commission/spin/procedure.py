@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The first turn of each wheel: which one turns, in which direction, and what its encoder counts.
 
-A wheel turns by a twist of the base in which as few others as possible turn (wheel_turns): no path
-to the motors but that of every other command. Bases with steered wheels: steered.py.
-"""
+A wheel turns by a twist of the base in which as few other wheels as possible turn (wheel_turns):
+the motors are reached only through the same commands as always. Bases with steered wheels:
+steered.py."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ from motord.commission.spin.wheel_turns import Turn, together, turns_of
 Direction = Literal["forward", "backward", "not at all"]
 OWNER = "motord-spin"
 TURNED_RAD = 0.2
-"""An encoder that counts less has not seen the wheel turn."""
+"""If an encoder counts less than this, it has not seen the wheel turn."""
 RATIO_MIN, RATIO_MAX = 0.8, 1.25
-"""Counted over commanded angle of a drive that holds its speed; else counts or gear are wrong."""
+"""Range of counted over commanded angle for a drive that holds its speed; outside it
+counts_per_turn or gear_ratio is wrong."""
 DOUBTS = {
     "direction": "the wheel turned against its set-point, as its encoder counts",
     "stall": "the encoder did not count although the wheel should turn",
@@ -38,42 +39,42 @@ DOUBTS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wheel:
-    """One joint as the daemon runs it."""
+    """One joint, with its values in the daemon."""
 
     name: str
     index: int
     wheel_radius_m: float
     turns: tuple[Turn, ...]
-    """Twists that turn it, one after the other; empty: no twist does."""
+    """Twists that turn the wheel, one after the other; empty: no twist turns it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Turned:
-    """What was measured while one joint was commanded forward, and what the person saw."""
+    """Measures from while one joint was commanded forward, and what the person saw."""
 
     joint: str
     commanded_rad: float
-    """By its set-points."""
+    """Commanded angle: the integral of the set-points."""
     counted_rad: Mapping[str, float]
-    """By every joint's feedback."""
+    """Counted angle of every joint, from its feedback; NaN: it measures no position."""
     current_max_a: float | None
     faults: tuple[str, ...] = ()
     together: tuple[str, ...] = ()
-    """Joints that were commanded with it every time, and itself."""
+    """Joints that were commanded every time, including the joint itself."""
     seen: str = ""
-    """Joint that the person saw turn; empty: none."""
+    """Joint that the person saw turn; empty: no joint."""
     direction: Direction = "not at all"
     steers: bool = False
-    """The joint points its wheel; `forward` is then to the side that it should."""
+    """Whether the joint points its wheel; `forward` then means to the correct side."""
     off_straight_rad: Mapping[str, float] = field(default_factory=dict)
-    """Of a joint that steers: by wheel, how far to the left it pointed when it should have pointed
+    """For a joint that steers: by wheel, how far to the left it pointed when it should have pointed
     straight ahead."""
     note: str = ""
-    """What contradicts itself, in words."""
+    """Contradiction in the person's answers, in words; empty: no contradiction."""
 
 
 def wheels_of(robot: Mapping[str, Any]) -> dict[str, Wheel]:
-    """From the daemon's answer of `robot`."""
+    """Return the wheels from the daemon's answer of `robot`."""
     rows = {name: tuple(row) for name, row in robot["wheel_rows"].items()}
     return {
         name: Wheel(
@@ -87,7 +88,7 @@ def wheels_of(robot: Mapping[str, Any]) -> dict[str, Wheel]:
 
 
 def known(wheels: dict[str, Wheel], names: Sequence[str]) -> dict[str, Wheel]:
-    """The wheels, if these names are among them. Raises Failed."""
+    """Return the wheels, after a check that these names are among them. Raises Failed."""
     if unknown := [name for name in names if name not in wheels]:
         raise Failed(f'no joint "{unknown[0]}": known are {", ".join(wheels)}')
     return wheels
@@ -115,14 +116,15 @@ def turn_wheel(session: Session, wheel: Wheel, speed_rad_s: float, seconds: floa
 
 
 def require_only(faults: Iterable[str], session: Session, held: Held) -> None:
-    """After any other fault, what was counted and seen until then proves nothing. Raises Failed."""
+    """Check that no other faults ended the motion; after another fault its measures prove nothing.
+    Raises Failed."""
     if not set(held.faults) <= set(faults):
         raise Failed(f"{session.stopped_by(held.faults)}; nothing was written")
 
 
 def rim_within_limits(session: Session, twist: tuple[float, float, float], rim_m_s: float) -> float:
-    """The greatest multiple of this twist (linear, lateral, angular) within the limits of the
-    base."""
+    """Return the greatest rim speed, at most `rim_m_s`, by which this twist (linear, lateral,
+    angular; for 1 m/s) can be multiplied within the limits of the base."""
     names = ("limits.linear_m_s", "limits.lateral_m_s", "limits.angular_rad_s")
     strafes = session.robot["strafes"]
     limits = session.client.params_get(*(n for n in names if strafes or "lateral" not in n))
@@ -134,7 +136,7 @@ def rim_within_limits(session: Session, twist: tuple[float, float, float], rim_m
 
 
 def both_times(turns: Sequence[Turned]) -> Turned:
-    """Of several turns of one wheel: what was counted, and commanded, every time."""
+    """Combine turns of one wheel: the least angles that were commanded and counted."""
     first = turns[0]
     currents_a = [one.current_max_a for one in turns if one.current_max_a is not None]
     return replace(
@@ -150,7 +152,7 @@ def both_times(turns: Sequence[Turned]) -> Turned:
 
 
 def measured(wheel: Wheel, joints: Sequence[str], held: Held) -> Turned:
-    """What the feedback of all joints has counted while one of them was commanded."""
+    """Return the angles that all joints counted while one of them was commanded."""
     first, last = held.snapshots[0], held.snapshots[-1]
     currents = [
         abs(current)
@@ -175,14 +177,15 @@ def _commanded_rad(snapshots: Sequence[Snapshot], index: int) -> float:
 
 
 def _counted_rad(first: Snapshot, last: Snapshot, index: int) -> float:
-    """NaN: the drive measures no position."""
+    """Return the angle between two snapshots; NaN: the drive measures no position."""
     return last.joints[index].position_rad - first.joints[index].position_rad
 
 
 def ask_what_turned(
     person: Person, turned: Turned, others: Sequence[str], every_time: str = ""
 ) -> Turned:
-    """The same with the person's answer. `every_time`: words for a wheel that turned twice."""
+    """Return the same with the person's answer. `every_time`: words for a wheel that turns
+    twice."""
     answers = ["forward", "backward", "none", *(["other"] if others else [])]
     answer = person.choose(f"Did the {turned.joint} wheel turn forward{every_time}?", answers)
     if answer == "none":
@@ -199,7 +202,7 @@ def ask_what_turned(
 
 
 def require_idle_ground(client: Client, person: Person, speed_rad_s: float, seconds: float) -> None:
-    """Ask before anything turns. Raises Failed."""
+    """Check that the robot is idle, and confirm that its wheels are free. Raises Failed."""
     require_idle(client)
     fastest_rad_s, longest_s = OPTIONS["wheel_rad_s"].high, OPTIONS["seconds"].high
     if not 0.0 < speed_rad_s <= fastest_rad_s or not 0.0 < seconds <= longest_s:
@@ -236,7 +239,7 @@ def spin(
 
 
 def _announce(person: Person, wheel: Wheel) -> None:
-    """That other wheels turn too."""
+    """Show that other wheels turn, too."""
     if len(wheel.turns) > 1:
         partners = [" and ".join(j for j in turn.joints if j != wheel.name) for turn in wheel.turns]
         person.show(
@@ -251,7 +254,7 @@ def _announce(person: Person, wheel: Wheel) -> None:
 
 
 def words(turned: Turned) -> str:
-    """The measures, in a line."""
+    """Return the measures in one line."""
     counted = ", ".join(
         f"{name} {angle_rad:+.2f} rad" for name, angle_rad in turned.counted_rad.items()
     )

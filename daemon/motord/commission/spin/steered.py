@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`motord spin` of a base with steered wheels: where each wheel points, then how each one rolls.
 
-All wheels move at once, for a base moves by twists alone (steered_poses). While they are pointed
-the base has a twist so slow that hardly a wheel rolls.
-"""
+All wheels move at once, since a base moves by twists alone (steered_poses). While the wheels are
+pointed, the twist is so slow that they hardly roll."""
 
 from __future__ import annotations
 
@@ -46,7 +45,7 @@ from motord.commission.spin.steered_poses import (
 )
 
 POINTING_RAD_S = 0.3
-"""Of a wheel, while the others are pointed; they stand until they point there."""
+"""Speed of the fastest wheel while wheels are pointed; no wheel rolls until they point there."""
 POINTED_RAD, POINTED_WITHIN_S = 0.03, 5.0
 OFF_MAX_DEGREES = 90.0
 
@@ -55,7 +54,7 @@ Procedure: TypeAlias = Callable[[Client, Person, Sequence[str], float, float], l
 
 
 def procedure_for(robot: Mapping[str, Any]) -> Procedure:
-    """The one for the base in the daemon's answer of `robot`."""
+    """Return the procedure for the base in the daemon's answer of `robot`."""
     return spin_steered if robot["modules"] else spin
 
 
@@ -74,7 +73,7 @@ def spin_steered(
 
 
 class _Run:
-    """One robot on blocks."""
+    """A spin of one robot on blocks."""
 
     def __init__(
         self,
@@ -95,7 +94,7 @@ class _Run:
 
     # ---------------------------------------------------------------------------------- steering
     def steer(self, names: Sequence[str]) -> list[Turned]:
-        """Straight ahead, then each pose; the person says where each wheel points."""
+        """Point the wheels straight ahead, then to each pose, and ask where each one points."""
         at_zero = self._point("straight ahead", straight(self._modules))
         off_rad = {name: self._off_straight(name) for name in names}
         poses = poses_of(self._modules, strafes=self._strafes)
@@ -104,7 +103,7 @@ class _Run:
         for number, pose in enumerate(poses, 1):
             title = f"pose {number} of {len(poses)}"
             pointed = self._point(title, pose)
-            # not known of those that roll
+            # NaN for joints that do not steer
             measured_rad.append(
                 {n: pointed.get(n, math.nan) - at_zero.get(n, math.nan) for n in self._joints}
             )
@@ -126,7 +125,7 @@ class _Run:
         return found
 
     def _point(self, title: str, pose: Pose) -> dict[str, float]:
-        """Where the joints that steer are when they are there."""
+        """Point the wheels, for POINTED_WITHIN_S at most; return the steering joints' angles."""
         places = {name: self._wheels[name].index for name in self.steering}
 
         def there(newest: Snapshot) -> bool:
@@ -159,7 +158,8 @@ class _Run:
 
     # ----------------------------------------------------------------------------------- traction
     def roll(self, names: Sequence[str]) -> list[Turned]:
-        """All forward; then, where the base can, a turn about each, in which it stands."""
+        """Turn all wheels forward; then, if the base can, turn it about each wheel, which
+        stands."""
         if not names:
             return []
         self._person.show("Now all driven wheels turn forward together, pointing straight ahead")
@@ -179,7 +179,7 @@ class _Run:
         return [self._placed(turned, found, driven) for turned in found]
 
     def _placed(self, turned: Turned, seen: Sequence[Turned], driven: Sequence[str]) -> Turned:
-        """The same with the wheel that this joint turns: the one that stands in a turn about it."""
+        """Find the wheel that this joint turns: it stands while the base turns about it."""
         self._person.show(f"Now the base turns about {turned.joint}, whose wheel is to stand")
         pose = standing(self._modules, turned.joint)
         self._held(lambda session: self._rolled(session, pose))
@@ -199,7 +199,7 @@ class _Run:
         )  # fmt: skip
 
     def _held(self, motion: Callable[[Session], Held], faults: Iterable[str] = ()) -> Held:
-        """`faults`: which of them may have ended the motion. Raises Failed after any other."""
+        """Run a motion while armed. Raises Failed if faults other than `faults` have ended it."""
         with armed(self._client, self._person, OWNER) as session:
             held = motion(session)
             require_only(faults, session, held)
@@ -209,7 +209,7 @@ class _Run:
 def recognized(
     name: str, expected: tuple[Side, ...], seen: Mapping[str, tuple[Side, ...]]
 ) -> Turned:
-    """Which wheel the joint points, and whether to the side that it should. `seen`: by wheel."""
+    """Find which wheel the joint points, and whether to the right side. `seen`: sides by wheel."""
     blank = Turned(joint=name, commanded_rad=0.0, counted_rad={}, current_max_a=None, steers=True)
     for wheel in (name, *(one for one in seen if one != name)):
         if seen[wheel] == expected:
@@ -226,7 +226,7 @@ def recognized(
 
 
 def _own_faults(held: Held, index: int) -> tuple[str, ...]:
-    """Those that are not of another joint."""
+    """Return the faults, unless another joint caused them."""
     doubt = held.snapshots[-1].doubt
     return held.faults if doubt is None or doubt.joint == index else ()
 

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Twists that point the steered wheels of a base to where a person can judge them. Pure.
+"""Twists that point the steered wheels of a base so that a person can judge them. Pure.
 
-Steered wheels cannot be pointed one by one, for a base moves by twists alone. In a few poses each
-wheel points to the left, straight ahead or to the right by a pattern of its own: a wheel that shows
-another one's pattern is swapped with it, and one that shows the opposite of its own is inverted.
-"""
+Steered wheels cannot be pointed one by one, since a base moves by twists alone. Over a few poses
+each wheel points left, straight ahead or right in a pattern of its own: a wheel that shows another
+one's pattern is swapped with it, and a wheel that shows the opposite of its own is inverted."""
 
 from __future__ import annotations
 
@@ -16,25 +15,25 @@ from typing import Any, Literal
 Side = Literal["left", "straight", "right"]
 SIDES: tuple[Side, ...] = ("left", "straight", "right")
 LEFT_RAD = 0.35
-"""20 degrees are seen at a glance."""
+"""Angle to the side, about 20 degrees, which a person sees at a glance."""
 SEEN_RAD = 0.1
 """A wheel that is off by less points straight ahead, for a person."""
 CLEAR_RAD = 1.2
-"""A wheel that stands farther across points neither to the left nor to the right."""
+"""A wheel that points farther to the side points neither left nor right, for a person."""
 _SAME_M = 1e-3
 _RANGE_PART = 0.8
 
 
 @dataclass(frozen=True, slots=True)
 class Module:
-    """A wheel, from the daemon's answer of `robot`; a joint that it does not have is empty."""
+    """A wheel from the daemon's answer of `robot`; a joint that it does not have is empty."""
 
     x_m: float
     y_m: float
     steering: str
     traction: str
     range_rad: tuple[float, float]
-    """Of the joint that steers it."""
+    """Range of the joint that steers it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +44,10 @@ class Pose:
     lateral: float
     angular: float
     aim_rad: Mapping[str, float]
-    """By steering joint, counterclockwise from straight ahead."""
+    """Angle of each steering joint, counterclockwise from straight ahead."""
 
     def side(self, joint: str) -> Side:
-        """Where its wheel points, for a person."""
+        """Return where the joint's wheel points, for a person."""
         aim_rad = self.aim_rad[joint]
         if abs(aim_rad) < SEEN_RAD:
             return "straight"
@@ -59,20 +58,20 @@ STRAIGHT_TWIST = (1.0, 0.0, 0.0)
 
 
 def modules_of(robot: Mapping[str, Any]) -> list[Module]:
-    """From the daemon's answer of `robot`; none: the base has no steered wheels."""
+    """Return the wheels from the daemon's answer of `robot`; empty: no steered wheels."""
     return [
         Module(**(one | {"range_rad": tuple(one["range_rad"])})) for one in robot.get("modules", ())
     ]
 
 
 def straight(modules: Sequence[Module]) -> Pose:
-    """All wheels straight ahead."""
+    """Return the pose with all wheels straight ahead."""
     return _pose(modules, STRAIGHT_TWIST)
 
 
 def poses_of(modules: Sequence[Module], *, strafes: bool) -> list[Pose]:
-    """As few as give each wheel a pattern of its own, as far as the base can: a car steers all its
-    wheels to the same side."""
+    """Return the fewest poses that give each wheel a pattern of its own, as far as the base can: a
+    car steers all its wheels to the same side."""
     steered = [one for one in modules if one.steering]
     if not strafes:
         return [_pose(modules, (1.0, 0.0, _curvature_per_m(steered)))]
@@ -90,23 +89,23 @@ def poses_of(modules: Sequence[Module], *, strafes: bool) -> list[Pose]:
 
 
 def patterns(poses: Sequence[Pose]) -> dict[str, tuple[Side, ...]]:
-    """Steering joint → where its wheel points in each pose."""
+    """Return where the wheel of each steering joint points in each pose."""
     return {name: tuple(pose.side(name) for pose in poses) for name in poses[0].aim_rad}
 
 
 def opposite(pattern: tuple[Side, ...]) -> tuple[Side, ...]:
-    """Of a joint that is inverted."""
+    """Return the pattern of the same joint when it is inverted."""
     return tuple(SIDES[2 - SIDES.index(side)] for side in pattern)
 
 
 def standing(modules: Sequence[Module], traction: str) -> Pose:
-    """A turn about the place of this wheel: it stands, and the others roll."""
+    """Return the pose of a turn about this wheel, in which it stands and the others roll."""
     own = next(one for one in modules if one.traction == traction)
     return _pose(modules, (own.y_m, -own.x_m, 1.0))
 
 
 def _curvature_per_m(steered: Sequence[Module]) -> float:
-    """To the left, as far as every wheel of a car's steered axle gets."""
+    """Return a curvature to the left that every wheel of a car's steered axle can follow."""
     behind = steered[0].x_m < 0.0
     ends_rad = [-one.range_rad[0] if behind else one.range_rad[1] for one in steered]
     return math.tan(min(LEFT_RAD, _RANGE_PART * min(ends_rad))) / abs(steered[0].x_m)
@@ -133,6 +132,7 @@ def _pose(modules: Sequence[Module], twist: tuple[float, float, float]) -> Pose:
 
 
 def _aim_rad(x_m_s: float, y_m_s: float) -> float:
-    """Forward or backward, whatever is nearer to straight ahead."""
+    """Return the angle to which a wheel is steered, rolling forward or backward, whichever is
+    nearer to straight ahead."""
     angle_rad = math.atan2(y_m_s, x_m_s)
     return angle_rad - math.pi * round(angle_rad / math.pi)

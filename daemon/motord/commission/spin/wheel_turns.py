@@ -2,8 +2,7 @@
 """Twists by which a base turns one of its wheels. Pure.
 
 A base moves by twists alone, so four mecanum wheels cannot turn one by one. Two twists that turn
-the wheel with different partners name it all the same: it is the one that turns both times.
-"""
+the wheel with different partners still identify it: it is the one that turns both times."""
 
 from __future__ import annotations
 
@@ -14,28 +13,28 @@ from typing import TypeAlias
 
 Vector: TypeAlias = tuple[float, float, float]
 RESTS = 1e-6
-"""A rim that moves by less than this part of the wheel's rim rests."""
+"""A rim is at rest if it moves by less than this part of the wheel's rim speed."""
 FASTER_MAX = 3.0
-"""How much faster than the wheel's rim another one may be."""
+"""How many times faster than the wheel's rim another rim may be."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """A twist in which the wheel's rim moves at 1 m/s: m/s, m/s to the left, rad/s; and all joints
-    that turn in it."""
+    """A twist in which the wheel's rim moves at 1 m/s (in m/s, m/s to the left, rad/s), and all
+    joints that turn in it."""
 
     linear: float
     lateral: float
     angular: float
     joints: tuple[str, ...]
     rims: Mapping[str, float]
-    """Speed of each rim, m/s."""
+    """Speed of each rim in m/s."""
 
 
 def turns_of(rows: Mapping[str, Vector], name: str, *, strafes: bool) -> tuple[Turn, ...]:
-    """One twist, or two, in which as few other wheels as possible turn both times; empty: no twist
-    turns this wheel. `rows`: speed of each rim by linear, lateral and angular velocity
-    (motord.config.sections.bases)."""
+    """Return one twist or two, chosen so that as few other wheels as possible turn every time;
+    empty: no twist turns this wheel. `rows`: speed of each rim by linear, lateral and angular
+    velocity (motord.config.sections.bases)."""
     found: dict[tuple[str, ...], Turn] = {}
     for twist in _candidates(rows, name, strafes=strafes):
         turn = _turn(rows, name, twist)
@@ -47,7 +46,7 @@ def turns_of(rows: Mapping[str, Vector], name: str, *, strafes: bool) -> tuple[T
 
 
 def together(turns: Sequence[Turn]) -> tuple[str, ...]:
-    """The joints that turn every time, the wheel itself among them."""
+    """Return the joints that turn every time, including the wheel's own."""
     return tuple(j for j in turns[0].joints if all(j in turn.joints for turn in turns))
 
 
@@ -56,8 +55,8 @@ def _effort(turns: tuple[Turn, ...]) -> tuple[int, int, int]:
 
 
 def _candidates(rows: Mapping[str, Vector], name: str, *, strafes: bool) -> list[Vector]:
-    """Twists in which one other wheel, or two of a base that strafes, rest: what is across their
-    rows."""
+    """Return twists in which one other wheel rests, or two of a base that strafes: those orthogonal
+    to the rows of these wheels."""
     others = [row for joint, row in rows.items() if joint != name]
     if strafes:
         return [_cross(*two) for two in itertools.combinations(others, 2)]

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The speed loop from a recorded step: motord tune."""
+"""Tune the speed loop of a wheel from a recorded step: motord tune."""

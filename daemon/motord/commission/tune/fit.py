@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a wheel is by its answer to steps, and the gains that follow from it. Pure.
+"""The model of a wheel from its answer to steps, and the gains that follow from it. Pure.
 
-Plant: acceleration · dv/dt = u(t − dead time) − viscous · v − static · sign(v), at the wheel, u the
-output of the speed loop (Lynch & Park, Modern Robotics, 2017, 8.9.1; a dead time as in Åström &
-Hägglund, Advanced PID Control, 2006, 2.7): of the first order, with friction. The parameters are
-those for which the simulated speed differs least from the measured one (output error, Ljung, System
-Identification, 1999, 3.2 and 10.2: damped Gauss-Newton), so that a coarse encoder makes no bias.
-Under a torque a wheel is nearly an integrator: what was not seen of it would count for the rest of
-the run. So the simulation starts again, with the measured speed, after each gap.
+Plant: acceleration · dv/dt = u(t − dead time) − viscous · v − static · sign(v), at the wheel, where
+u is the output of the speed loop (Lynch & Park, Modern Robotics, 2017, 8.9.1; the dead time as in
+Åström & Hägglund, Advanced PID Control, 2006, 2.7): of the first order, with friction. The
+parameters are those with the least difference between simulated and measured speed (output error,
+Ljung, System Identification, 1999, 3.2 and 10.2: damped Gauss-Newton), so that a coarse encoder
+makes no bias. Under a torque a wheel is nearly an integrator: a part that was not measured would
+act on the rest of the run. So the simulation starts again, with the measured speed, after each gap.
 
 Gains: Skogestad, Simple analytic rules for model reduction and PID controller tuning, Journal of
 Process Control 13, 2003 (SIMC), a PI: gain = time constant / (steady gain · (τc + dead time)),
-integral time = min(time constant, 4 (τc + dead time)). τc is the time constant that is wanted of
-the closed loop, in dead times: 1 is the "tight" choice of the paper.
-"""
+integral time = min(time constant, 4 (τc + dead time)). τc is the desired time constant of the
+closed loop, in dead times: 1 is the "tight" choice of the paper."""
 
 from __future__ import annotations
 
@@ -39,37 +38,38 @@ STEP_S = 0.002
 DEAD_TIMES_S = tuple(0.01 * n for n in range(16))
 ROUNDS = 25
 MISFIT_MAX = 0.12
-"""Root mean square of the residuals, as a part of the greatest speed: more fits no such wheel."""
+"""Greatest root mean square of the residuals, as a part of the greatest speed; with a greater one
+the model does not fit the wheel."""
 TURNED_PART = 0.2
 POINTS_MIN = 30
 GAP_S, GAP_SAMPLES = 0.05, 3.0
-"""A gap is a longer time without a look, or so many usual times without a measure: a program was
-held up, and what the wheel got meanwhile is unknown."""
+"""A gap: a longer time than GAP_S without a snapshot, or than GAP_SAMPLES usual intervals without a
+measure. A program was held up, and what was sent to the wheel meanwhile is unknown."""
 AFTER_GAP_S = 0.05
-"""For so long after a gap, the wheel may still act on what it got in it: a dead time."""
+"""Time after a gap in which the wheel may still react to what was sent in it: a dead time."""
 PIECE_S = 0.1
-"""Shorter pieces show little more than the speed at their beginning."""
+"""Least length of a piece; a shorter one shows little more than the speed at its beginning."""
 BEGIN_POINTS = 5
 SEEN_PART_MIN = 0.3
-"""Of the time of all runs: less determines no wheel."""
+"""Least part of the time of all runs that has to be measured; less does not determine a wheel."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One motion, from rest to rest. Times in s since its begin, of one clock."""
+    """One motion, from rest to rest. Times are in s since its beginning, all on one clock."""
 
     time_s: Array
-    """When set-point and output were in force."""
+    """Times of set-points and outputs."""
     want_rad_s: Array
     output_u: Array
     measured_s: Array
-    """When the speeds were measured."""
+    """Times of the measured speeds."""
     speed_rad_s: Array
 
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """What was measured between two gaps of a run, and the state in which it begins."""
+    """The measures between two gaps of a run, and the state in which the piece begins."""
 
     run: Run
     begin_s: float
@@ -82,7 +82,7 @@ class _Piece:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """One wheel; u is N m or 1 (a duty)."""
+    """The model of one wheel; u is N m or 1 (a duty)."""
 
     acceleration_u_s2_per_rad: float
     viscous_u_s_per_rad: float
@@ -90,7 +90,7 @@ class Plant:
     dead_time_s: float
     misfit_rad_s: float
     sample_s: float
-    """Between two measures."""
+    """Interval between two measures."""
 
     @property
     def time_constant_s(self) -> float:
@@ -103,7 +103,7 @@ class Plant:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gains:
-    """Of a PI; the feed-forward is the plant itself."""
+    """Gains of a PI; the feed-forward gains are those of the plant."""
 
     gain_u_s_per_rad: float
     integral_u_per_rad: float
@@ -111,18 +111,18 @@ class Gains:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """How a wheel follows its set-point."""
+    """Quality with which a wheel follows its set-point."""
 
     error_rad_s: float
-    """Root mean square while it is to move."""
+    """Root mean square of the error while the wheel is to move."""
     overshoot_rad_s: float
-    """Beyond the greatest set-point."""
+    """How far the speed exceeds the greatest set-point."""
     off_rad_s: float
     """Mean distance from the set-point at the end of each step."""
 
 
 def gains_of(plant: Plant, aggressiveness: Aggressiveness) -> Gains:
-    """SIMC. No loop is faster than its measure."""
+    """Return the gains by SIMC. The dead time counts as one interval of the measure at least."""
     dead_time_s = max(plant.dead_time_s, plant.sample_s)
     reach_s = (1.0 + CLOSED_LOOP[aggressiveness]) * dead_time_s
     gain = plant.acceleration_u_s2_per_rad / reach_s
@@ -131,7 +131,7 @@ def gains_of(plant: Plant, aggressiveness: Aggressiveness) -> Gains:
 
 
 def response_of(runs: Sequence[Run]) -> Response:
-    """Raises Failed where nothing was wanted."""
+    """Return how the wheel follows its set-points. Raises Failed if all set-points are zero."""
     errors, beyond, off = [], [0.0], []
     for run in runs:
         want = np.interp(run.measured_s, run.time_s, run.want_rad_s)
@@ -156,7 +156,7 @@ def response_of(runs: Sequence[Run]) -> Response:
 
 
 def identify(name: str, runs: Sequence[Run]) -> Plant:
-    """Raises Failed for data that do not determine the wheel, or are of no such wheel."""
+    """Return the model of the wheel. Raises Failed if the data do not determine it or fit it."""
     points = sum(len(run.measured_s) for run in runs)
     fastest = max((float(np.max(np.abs(run.speed_rad_s), initial=0.0)) for run in runs), default=0)
     wanted = max((float(np.max(np.abs(run.want_rad_s), initial=0.0)) for run in runs), default=0)
@@ -190,13 +190,13 @@ def identify(name: str, runs: Sequence[Run]) -> Plant:
 
 
 def seen_part(runs: Sequence[Run]) -> float:
-    """How much of the time of all runs is between gaps."""
+    """Return the part of the time of all runs that is between gaps."""
     seen_s = sum(piece.seconds for run in runs for piece in _pieces(run))
     return seen_s / sum(float(run.time_s[-1]) for run in runs)
 
 
 def _seen(run: Run) -> npt.NDArray[np.bool_]:
-    """Which measures lie in no gap; all, where every one lies in a gap."""
+    """Return which measures lie outside gaps; if there are no such measures, all."""
     seen = np.zeros(len(run.measured_s), dtype=bool)
     for piece in _pieces(run):
         first_s, last_s = piece.run.measured_s[[0, -1]]
@@ -205,7 +205,7 @@ def _seen(run: Run) -> npt.NDArray[np.bool_]:
 
 
 def _pieces(run: Run) -> list[_Piece]:
-    """The run without its gaps, and without what follows from them."""
+    """Return the run without its gaps, and without the time right after them."""
     usual_s = float(np.median(np.diff(run.measured_s)))
     gaps = [
         (float(times_s[n]), float(times_s[n + 1]))
@@ -233,8 +233,8 @@ def _pieces(run: Run) -> list[_Piece]:
 
 
 def _regressed(runs: Sequence[Run], dead_s: float) -> tuple[Array, float]:
-    """Least squares of the integrated equation over windows of some measures, for a given dead
-    time: where to begin, and its residual."""
+    """Return first parameters, and their residual, for a given dead time: least squares of the
+    integrated equation over windows of some measures."""
     rows, sums = [], []
     for run in runs:
         inputs = _running(run.time_s, run.output_u)
@@ -256,13 +256,14 @@ def _regressed(runs: Sequence[Run], dead_s: float) -> tuple[Array, float]:
 
 
 def _running(time_s: Array, values: Array) -> Array:
-    """The integral from the first sample on, by trapezoids."""
+    """Return the integral from the first sample on, by trapezoids."""
     parts = np.diff(time_s) * (values[1:] + values[:-1]) / 2.0
     return np.concatenate([[0.0], np.cumsum(parts)])
 
 
 def _refined(pieces: Sequence[_Piece], start: Array) -> tuple[Array, float]:
-    """Damped Gauss-Newton (Levenberg-Marquardt) on the simulated speeds."""
+    """Return the refined parameters and their misfit in rad/s: damped Gauss-Newton
+    (Levenberg-Marquardt) on the simulated speeds."""
     found, damping = start, 1e-3
     residual = _residual(pieces, found)
     for _ in range(ROUNDS):
@@ -303,8 +304,8 @@ def _residual(pieces: Sequence[_Piece], plant: Array) -> Array:
 
 
 def simulated(run: Run, plant: Array, begin_s: float = 0.0, begin_rad_s: float = 0.0) -> Array:
-    """The speeds at the times of the measures: backward Euler, friction as the impulse that can at
-    most bring the wheel to rest (as in the simulator)."""
+    """Return the simulated speeds at the times of the measures: backward Euler, with friction as
+    the impulse that at most brings the wheel to rest (as in the simulator)."""
     acceleration, viscous, static, dead_s = (float(one) for one in plant)
     steps = math.ceil((float(run.measured_s[-1]) - begin_s) / STEP_S) + 2
     moments_s = begin_s + np.arange(steps) * STEP_S

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tunes the speed loop of one wheel: steps on the floor, what the wheel is by its answer, gains,
-and the same steps again with them.
+"""Tune the speed loop of one wheel: drive steps on the floor, identify the wheel from its answer,
+compute gains, and drive the same steps with them.
 
-The robot moves by twists, as by every other command, so [limits] hold. Gains are changed by
-`params.set` while it runs; what the person does not keep is put back.
-"""
+The robot moves by twists, like with every other command, so [limits] hold. The gains are changed by
+`params.set` while the daemon runs; gains that the person does not keep are restored."""
 
 from __future__ import annotations
 
@@ -46,23 +45,23 @@ from motord.config.sections.joint.wheels import gains_of as gain_keys_of
 
 OWNER = "motord-tune"
 LEVELS = (0.5, 1.0)
-"""Of the speed at most: two, because one cannot separate friction from drag."""
+"""Parts of the greatest speed for the steps; two, since one cannot separate friction from drag."""
 SPEED, STEP = OPTIONS["rim_m_s"], OPTIONS["step_s"]
 LOOK_EVERY_S = 0.01
 TURNS_PART_MIN = 0.3
-"""Part of the base's straight motion that a rim has to follow: else the base turns on the spot."""
+"""Least part of the base's straight motion that a rim follows; below it the base turns instead."""
 DISTANCE_MARGIN = 1.5
 TRIES = 3
-"""Of steps that a busy computer does not see."""
+"""How often the steps are driven at most; a busy computer may fail to record them."""
 _GAIN_WORDS = re.compile(r"gain|pid|(^|_)k[pid]($|_)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """How fast, how long and with how much current the wheel may be driven."""
+    """Limits for the motion of the wheel: speed, time and current."""
 
     speed_m_s: float = SPEED.usual
-    """At the rim."""
+    """Speed of the rim."""
     step_s: float = STEP.usual
     current_max_a: float = math.inf
 
@@ -72,13 +71,13 @@ class Bounds:
 
     @property
     def step_m(self) -> float:
-        """How far a step goes at most, with its ramps."""
+        """The greatest length of a step, with its ramps."""
         return DISTANCE_MARGIN * self.speed_m_s * self.step_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tuned:
-    """Before and after. `gains` are those of the robot file, by key."""
+    """The result, before and after. `gains` are those of the robot file, by key."""
 
     joint: str
     plant: Plant
@@ -94,7 +93,8 @@ class Tuned:
 
 
 def tunable(robot: Robot, name: str) -> None:
-    """Raises Failed where motord does not hold the speed of this wheel, and says what does."""
+    """Check that motord controls this wheel's speed. Raises Failed, with what controls it
+    instead."""
     if name not in robot.joint:
         raise Failed(f'no joint "{name}": known are {", ".join(robot.joint)}')
     if isinstance(robot.base, JointsBase):
@@ -124,12 +124,12 @@ def tunable(robot: Robot, name: str) -> None:
 
 
 class Tuning:
-    """A context: gains that were tried and not kept are put back at its end."""
+    """Context manager that restores gains that were tried and not kept at its end."""
 
     def __init__(
         self, client: Client, person: Person, robot: Robot, name: str, bounds: Bounds
     ) -> None:
-        """Raises Failed, ClientError."""
+        """Read the present gains. Raises Failed, ClientError."""
         tunable(robot, name)
         self._client, self._person, self._bounds = client, person, bounds
         self._robot, self._name = robot, name
@@ -147,11 +147,11 @@ class Tuning:
 
     def __exit__(self, *_: object) -> None:
         if not self._kept:
-            with contextlib.suppress(ClientError):  # a daemon that is gone begins by its file
+            with contextlib.suppress(ClientError):  # an ended daemon begins with its file
                 self._client.params_set(**self._was)
 
     def keep(self) -> None:
-        """The gains that are in force now are those of the robot file."""
+        """Keep the gains that are in force now; they are also in the robot file."""
         self._kept = True
 
     def run(self, aggressiveness: Aggressiveness) -> Tuned:
@@ -178,7 +178,8 @@ class Tuning:
         )
 
     def changes(self, tuned: Tuned) -> dict[KeyPath, Any]:
-        """Keys of the robot file; what is in it already, also as a default, is no change."""
+        """Return the changed keys of the robot file; a value that it already has, also as a
+        default, is no change."""
         has = self._robot.joint[self._name].speed_loop or SpeedLoop()
         return {
             ("joint", self._name, "speed_loop", key): value
@@ -187,8 +188,8 @@ class Tuning:
         }
 
     def _gains(self, plant: Plant, loop: Gains) -> dict[CoreGain, float]:
-        """By the core's names, rounded as the file gets them. The derivative is 0: a plant of the
-        first order needs none (Skogestad)."""
+        """Return the gains by the core's names, rounded as in the file. The derivative is 0: a
+        plant of the first order does not need it (Skogestad)."""
         wanted: dict[CoreGain, float] = {
             "gain_u_s_per_rad": loop.gain_u_s_per_rad,
             "integral_u_per_rad": loop.integral_u_per_rad,
@@ -220,7 +221,8 @@ class Tuning:
         )
 
     def _twist(self, rim_m_s: float) -> tuple[float, float]:
-        """A twist in which the rim of this wheel goes so fast."""
+        """Return linear and angular velocity of a twist in which this wheel's rim has this
+        speed."""
         row = wheel_row(self._robot.base, self._robot.joint[self._name])
         if abs(row.x) >= TURNS_PART_MIN:
             return rim_m_s / row.x, 0.0
@@ -240,7 +242,7 @@ class Tuning:
         raise Failed(f"{self._name}: {HELD_UP}")
 
     def _driven(self, what: str) -> tuple[Run, ...]:
-        """All steps once."""
+        """Drive all steps once."""
         runs = []
         signs = (1.0, -1.0) if self._reverses else (1.0,)
         with armed(self._client, self._person, OWNER) as session:
@@ -274,7 +276,7 @@ class Tuning:
 
 
 def run_of(snapshots: tuple[Snapshot, ...], index: int, *, duty: bool) -> Run:
-    """The samples of one wheel; each measure once. Raises Failed for a wheel that sends none."""
+    """Return the samples of one wheel, each measure once. Raises Failed if it measures no speed."""
     begin_ns = snapshots[0].stamp_ns
     times: list[float] = []
     measured: list[float] = []
@@ -309,8 +311,8 @@ def tune(
     *,
     dry_run: bool = False,
 ) -> tuple[Tuned, Path | None]:
-    """From the first question to the robot file; the second result is the backup of the old one.
-    `pictured` shows the steps. Raises Aborted, Failed, EditError, ClientError."""
+    """Tune a wheel, from the first question to the robot file; the second result is the backup of
+    the old file. `pictured` shows the steps. Raises Aborted, Failed, EditError, ClientError."""
     require_same(edit.before, client.call("robot"))
     with Tuning(client, person, edit.before, name, bounds) as tuning:
         tuned = tuning.run(aggressiveness)
@@ -329,7 +331,7 @@ def tune(
 
 
 def words(tuned: Tuned, *, unit: str) -> list[str]:
-    """What was found, and what it does."""
+    """Return texts with the model, the gains, and their effect."""
     plant, before, after = tuned.plant, tuned.before, tuned.after
     wheel = (
         f"{plant.steady_rad_s_per_u:.2f} rad/s for a {unit}, time constant "
@@ -346,6 +348,6 @@ def words(tuned: Tuned, *, unit: str) -> list[str]:
 
 
 def unit_of(robot: Robot, name: str) -> str:
-    """Of the output of this wheel's loop, for a sentence."""
+    """Return the unit of the output of this wheel's loop, for a sentence."""
     joint = robot.joint[name]
     return "duty of 1" if takes_duty(joint, robot.profiles[joint.drive]) else "N·m"
