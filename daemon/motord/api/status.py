@@ -194,6 +194,8 @@ class Limited:
     """How long the reason has held."""
     joint: str | None = None
     """Joint that causes "wheel_saturated" or "derated"; None for every other reason."""
+    joints: tuple[str, ...] = ()
+    """Joints that a reason such as "joint_position" limits; empty for reasons of the base."""
     by: str | None = None
     """Cause of a derating: temperature, current or voltage."""
     factor: float | None = None

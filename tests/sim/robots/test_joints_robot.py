@@ -128,9 +128,10 @@ def test_status_names_the_joint_that_its_range_limits(armed):
 
     wait_until(named, "the reason in the text")
     armed.robot.joints({"pan": 5.0}, lease_s=LEASE_S)
-    limited = armed.robot.status()["limited"]
-    assert limited["joint_position"]["joints"] == ["pan"]
-    assert limited["joint_position"]["for_s"] >= 0.0
+    status = armed.robot.status()
+    assert status["limited"]["joint_position"]["joints"] == ["pan"]
+    assert status.limited["joint_position"].joints == ("pan",)
+    assert status.limited["joint_position"].for_s >= 0.0
     armed.robot.call("release", owner="socket")
 
 
