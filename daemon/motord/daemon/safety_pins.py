@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens the pins of safety, for the loop to read and write them itself."""
+"""Opening of the safety pins, which the loop itself reads and writes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ LINE_CYCLES = 5
 
 @contextlib.contextmanager
 def open_guard(robot: Robot, cycle_hz: Mapping[str, float]) -> Iterator[GuardConfig | None]:
-    """What the loop gets, None where the robot file has no such pins. `cycle_hz` of each
-    line by its name. Raises PortError."""
+    """Open the pins and yield the loop's settings for them; None: the robot file has no such pins.
+    `cycle_hz`: cycle rate of each line by its name. Raises PortError."""
     safety = robot.safety
     if safety.estop is None and safety.watchdog is None:
         yield None
@@ -64,6 +64,7 @@ def open_guard(robot: Robot, cycle_hz: Mapping[str, float]) -> Iterator[GuardCon
 
 
 def line_timeouts_ns(robot: Robot, cycle_hz: Mapping[str, float]) -> list[int]:
-    """By the lines' order. As long as a wheel may be silent, or some cycles where they are slow."""
+    """Return how long each line may be silent, in the lines' order: as long as a wheel may be
+    silent, or some cycles where they are slow."""
     silent_s = robot.safety.feedback_timeout_s
     return [round(max(silent_s, LINE_CYCLES / cycle_hz[name]) * 1e9) for name in robot.line]
