@@ -14,7 +14,7 @@ def how_to_install(extra: str) -> str:
     """Return a command line that installs what the extra of pyproject.toml needs, for the Python
     that runs now: a checkout's environment, a wheel's, or that of the Debian package, which has no
     pip."""
-    from importlib import metadata  # takes long to import, and is seldom needed
+    from importlib import metadata  # imported here: it takes long, and is seldom needed
 
     rows = metadata.requires("motord") or []
     wanted = [

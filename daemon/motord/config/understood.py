@@ -56,7 +56,7 @@ class Wire:
     cycle_hz: float
     share: float
     most_hz: float
-    """Rate at which the wire is full."""
+    """Rate at which the wire is fully used."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

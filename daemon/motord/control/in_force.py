@@ -26,7 +26,7 @@ class InForce:
             for name, joint in robot.joint.items()
             if gains_of(joint, profiles[joint.drive])
         }
-        """By joint, for the joints whose speed motord holds or could hold."""
+        """Settings by joint, for the joints whose speed motord holds or could hold."""
         self._gains_count = 0
         self._gains: tuple[SpeedLoopGains, ...] = ()
         self.joint_limits: dict[str, JointLimits] = {
@@ -34,7 +34,7 @@ class InForce:
             for name, joint in robot.joint.items()
             if limit_keys(robot, name)
         }
-        """By joint; empty for a robot with a base."""
+        """Limits by joint; empty for a robot with a base."""
         self._joint_limits_count = 0
 
     def change_joint_limits(self, limits: Mapping[str, JointLimits]) -> None:

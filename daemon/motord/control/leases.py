@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leases, the right of sources to command, by connection and owner. Python grants and ends them.
+"""Leases, the right of sources to command, by connection and owner. Python starts and ends them.
 The loop (csrc/loop/command/arbiter.c) decides which of them is in command and which is held, and
 reports it.
 
@@ -94,7 +94,7 @@ class Leases:
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
         self._granted: dict[tuple[int, str, bool], _Granted] = {}
-        """By connection, owner, and whether the token was given to the client."""
+        """Leases by connection, owner, and whether the token was given to the client."""
         self._gone: dict[str, int] = {}
         """Owners that were held when their connection ended, and until when (ns) they stay held."""
         self._next_socket = 0

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The daemon's state machine: a table, two guards and one pure function.
 
-Nothing here acts. The caller does what an event stands for and then takes the step, so that a state
-is only ever shown when it is true.
-"""
+This module moves nothing. The caller does what an event stands for and then takes the step, so that
+a state is only shown when it is true."""
 
 from __future__ import annotations
 
@@ -43,15 +42,15 @@ class Event(enum.StrEnum):
     ARM = "arm"
     """Every drive is enabled and the core has armed."""
     DISARM = "disarm"
-    """Come to rest, to take the power off."""
+    """Come to rest, then take the power off."""
     STOP = "stop"
-    """Come to rest, stay armed."""
+    """Come to rest, and stay armed."""
     ESTOP = "estop"
     RESET = "reset"
     SHUTDOWN = "shutdown"
     """The drives are off and the loop ends."""
     START = "start"
-    """The loop runs, the lines are being opened."""
+    """The loop runs, and the lines are being opened."""
     READY = "ready"
     """Every line has configured every drive."""
     LOST = "lost"
@@ -59,7 +58,7 @@ class Event(enum.StrEnum):
     MOVED = "moved"
     RESTED = "rested"
     STOPPED = "stopped"
-    """At rest after STOP."""
+    """The robot is at rest after STOP."""
     DISARMED = "disarmed"
     """The power is off."""
     FAULT = "fault"
@@ -82,7 +81,7 @@ class Facts:
     lost_positions: tuple[str, ...] = ()
     """Joints that take positions, but whose position is not known."""
     drive_faults: tuple[str, ...] = ()
-    """`joint: words` for each joint whose drive reports a fault."""
+    """`joint: fault words` for each joint whose drive reports a fault."""
     commanding: str | None = None
     """Owner of a lease that requests motion; None: no lease does."""
     at_rest: bool = True

@@ -155,7 +155,7 @@ class Operation:
 
     @property
     def battery_forbids(self) -> bool:
-        """Whether the battery is critical, and the robot file says that this stops the robot."""
+        """Whether the battery is critical and the robot file stops the robot for that."""
         stops = self.robot.safety.on_battery_critical == "stop"
         return stops and self.battery is not None and self.battery.level is BatteryLevel.CRITICAL
 
@@ -331,7 +331,7 @@ class Operation:
         """Raise a fault for a cause that the core cannot see. Without power on the drives, do
         nothing."""
         self.look()
-        if not self.state.live:  # nothing to take away, or the core has seen it already
+        if not self.state.live:  # there is no power to take off, or the core has seen it already
             return
         self._broken = why
         self._latch(Event.FAULT, [why])
@@ -395,7 +395,7 @@ class Operation:
             estop = "estop" in snapshot.faults
             self.estops += estop and "estop" not in before.faults
             self._latch(Event.ESTOP if estop else Event.FAULT, self._explained(snapshot))
-            self._armed = False  # the next arming is an edge again
+            self._armed = False  # the core arms next at a new rising edge of this level
         elif self.disarm_requested.is_set() and not snapshot.armed:
             pass  # the loop has disarmed as requested; DISARMED follows when the power is off
         elif self.state.live and self._armed and not snapshot.armed:

@@ -191,7 +191,7 @@ def _without_a_thread() -> Iterator[None]:
     try:
         yield
     finally:
-        policy.set_child_watcher(asyncio.ThreadedChildWatcher())  # the other was for this loop
+        policy.set_child_watcher(asyncio.ThreadedChildWatcher())  # the pidfd one was for this loop
 
 
 async def _end(process: Process) -> None:

@@ -30,7 +30,7 @@ from motord.local_socket.server import INVALID_PARAMS, Caller, Method, Refused, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnerParams(Params):
-    """The owner of a lease."""
+    """Parameter for the owner of a lease."""
 
     owner: str = text(64, r"[\w.:/-]+", default="socket")
 
@@ -271,7 +271,7 @@ def _by_kind(names: Sequence[str]) -> tuple[list[str], ...]:
 async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float | None]:
     """Set limits and gains, all or none; or registers of drives, one after the other."""
     for name, value in wanted.items():
-        if isinstance(value, int) and abs(value) > sys.float_info.max:  # it may have any size
+        if isinstance(value, int) and abs(value) > sys.float_info.max:  # JSON sets no bound
             raise RpcError(f"{name}: is too large a number", INVALID_PARAMS)
     of_drives, gains, of_joints, limits = (
         {name: wanted[name] for name in names} for names in _by_kind(list(wanted))

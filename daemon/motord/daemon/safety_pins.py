@@ -11,7 +11,7 @@ from motord.config import Robot
 from motord.realtime.types import GuardConfig
 
 LINE_CYCLES = 5
-"""How many cycles a line with enabled drives may miss."""
+"""Cycles that a line with enabled drives may miss."""
 
 
 @contextlib.contextmanager
@@ -22,7 +22,7 @@ def open_guard(robot: Robot, cycle_hz: Mapping[str, float]) -> Iterator[GuardCon
     if safety.estop is None and safety.watchdog is None:
         yield None
         return
-    # only here: a robot without pins goes without libgpiod
+    # imported here: a robot without pins needs no libgpiod
     from gpiod.line import Bias
 
     from motord_hal.gpio.lines import Wanted, request_edges, request_outputs

@@ -90,7 +90,7 @@ def _local(path: Path, sockets: contextlib.ExitStack, *, credentials: bool = Fal
     opened = sockets.enter_context(socket.socket(socket.AF_UNIX, kind))
     if credentials:
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
-    path.unlink(missing_ok=True)  # ours: the local socket beside it belongs to this daemon
+    path.unlink(missing_ok=True)  # the socket beside it belongs to this daemon, so this is ours
     # The file is made with this mode: a client that connects before the chmod could go on sending
     # after it.
     os.fchmod(opened.fileno(), SOCKET_MODE)

@@ -217,7 +217,7 @@ async def _accepted(
             peer, _ = listener.accept()
         except BlockingIOError:
             return None
-        except OSError as error:  # out of file descriptors: the robot goes on without
+        except OSError as error:  # out of file descriptors: the robot goes on
             if not tried and error.errno == errno.EMFILE and _dropped_one(connections, stays):
                 await asyncio.sleep(0)  # its descriptor is closed
                 continue
@@ -253,7 +253,7 @@ async def _attend(number: int, connections: dict[int, _Connection]) -> None:
 
 
 class _Connection:
-    """One peer: reads requests in order, answers each when it is done."""
+    """One connection: reads requests in order, answers each when it is done."""
 
     def __init__(
         self,
@@ -287,7 +287,7 @@ class _Connection:
         reader, self._writer = await asyncio.open_unix_connection(
             sock=self._peer, limit=LINE_BYTES_MAX
         )
-        if self.dropped:  # meanwhile
+        if self.dropped:  # dropped while it was opened
             self._writer.transport.abort()
         try:
             async with asyncio.TaskGroup() as calls:

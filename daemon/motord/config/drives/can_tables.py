@@ -42,7 +42,7 @@ class DbcFile(Section):
     file: Text
     """Path of the DBC file, from the profile's folder."""
     drive: Text
-    """The node of the file that is the drive."""
+    """The node of the file that stands for the drive."""
     node: int | None = number("the node number whose identifiers it has", 0, NODE_MAX, "1", None)
 
 
@@ -107,7 +107,7 @@ class CanSignal(Scaled):
     dbc: Text | None = None
     """Name of the signal in the DBC file."""
     type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "f32"] | None = None
-    """Width and sign."""
+    """Width and sign of the raw value."""
     start_bit: int | None = number("its first bit in the data", 0, 511, "1", None)
     length: int | None = number("bits; those of the type if left out", 1, 32, "1", None)
     byte_order: Literal["little", "big"] = "little"
@@ -129,9 +129,9 @@ class CanObject(Section):
     index: int = number("its index", 0x1000, 0xFFFF, "1")
     sub: int = number("its sub-index", 0, 255, "1", 0)
     type: Literal["u8", "i8", "u16", "i16", "u32", "i32"] | None = None
-    """Width and sign; [eds] may have it."""
+    """Width and sign of the raw value; the data sheet of [eds] gives them, too."""
     access: Literal["r", "rw"] = "rw"
-    """What motord may do with it."""
+    """What motord may do with the entry: read, or read and write."""
     scale: float = number("`unit` for each 1 of the raw value", -BOUND, BOUND, "1", 1.0)
     unit: Unit = ""
     """Unit of the scaled value."""

@@ -33,7 +33,7 @@ _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
 }
 _SETPOINTS = [entry for entry, (_, access) in _CHANNEL_RULES.items() if access == "w"]
 
-# the one DDSM command whose last byte is no check sum (motord_hal.ddsm.codec has the frames)
+# DDSM: the one command whose last byte is not a check sum (motord_hal.ddsm.codec)
 _UNSEALED = 0xA0
 # bus servos: from this address on, a register is an instruction (motord_hal.servo.packets)
 _INSTRUCTIONS = 0xFF00
@@ -209,7 +209,7 @@ def _check_overlaps(profile: DriveProfile, problems: Problems) -> None:
         apart = one.address + _span(profile, one) <= other.address or (
             other.address + _span(profile, other) <= one.address
         )
-        if profile.protocol in _FRAMES:  # what is sent and what comes back are two frames
+        if profile.protocol in _FRAMES:  # what motord sends and what the drive sends are two frames
             apart = apart or not set(one.access) & set(other.access)
         shared = one.mask is not None and other.mask is not None and not one.mask & other.mask
         if not apart and not shared:

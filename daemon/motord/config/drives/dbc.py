@@ -229,7 +229,7 @@ class _Reader:
             found["default"] = start
         if not by_drive:
             found |= self._limits(key, given, signal, factor)
-            if start and "default" not in given:  # it might be the command that lets the motor run
+            if start and "default" not in given:  # not taken over: it might make the motor run
                 problem = f"is missing: {signal.name} starts with {start} in {self._file.name},"
                 problem = f"{problem} motord would send 0 until it is written"
                 self.problems.add(f"{key}.default", problem)

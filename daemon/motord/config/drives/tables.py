@@ -89,8 +89,9 @@ class HoldingRegister(Scaled):
         "u8", "i8", "u16", "i16", "u32", "i32", "u32-low-first", "i32-low-first", "m16",
         "u16-high-first", "m16-bit10-high-first",
     ]  # fmt: skip
-    """Width and sign; two words come high word first unless the name says otherwise; m16 is a sign
-    bit and a magnitude. A bus servo's bytes come low byte first unless the name says otherwise."""
+    """Width and sign; two words come high word first unless the name has another order; m16 is a
+    sign bit and a magnitude. A bus servo's bytes come low byte first unless the name has another
+    order."""
     unit: Literal[Unit, "hz", "count/s"] = ""
     """Unit of the scaled value."""
     access: Access
@@ -235,7 +236,7 @@ class DriveWatchdog(Section):
     """[watchdog]: the drive's own communication watchdog."""
 
     register_name: Text = Field(alias="register")
-    """The register that holds its time."""
+    """The register that holds the watchdog's time."""
     minimum_s: float = number("shortest time that it takes", 0.001, 3600.0, "s")
     maximum_s: float = number("longest time that it takes", 0.001, 3600.0, "s")
     action: Text
@@ -279,11 +280,11 @@ class MotorBridge(Section):
     coast: Pins
     """Levels without power."""
     brake: Pins
-    """Levels that short the motor."""
+    """Levels that short the motor, so that it brakes."""
     forward: Pins
-    """Levels that drive it forward."""
+    """Levels that drive the motor forward."""
     reverse: Pins
-    """Levels that drive it in reverse."""
+    """Levels that drive the motor in reverse."""
 
 
 def _one_line(value: Any) -> Any:
@@ -306,7 +307,7 @@ class DriveFile(Section):
     name: Text
     """The file's name without its ending."""
     title: Annotated[Text, BeforeValidator(_one_line)]
-    """Maker and model."""
+    """Maker and model of the drive."""
     protocol: Protocol
     """Protocol that the drive speaks."""
     source: Text
@@ -314,7 +315,8 @@ class DriveFile(Section):
     bus_voltage: Text | None = None
     """Register of the supply voltage."""
     absolute: bool = False
-    """The position means the same after each power-up: an absolute encoder on the output."""
+    """Whether the position means the same after each power-up: an absolute encoder on the
+    output."""
     watchdog_fixed_s: float | None = number(
         "time of a communication watchdog that can neither be set nor read",
         0.001,

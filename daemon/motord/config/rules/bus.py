@@ -33,7 +33,7 @@ from motord.config.toml_lines import Path
 
 LEASE_COMMANDS = 2
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
-EVERY_INTERFACE = ("0.0.0.0", "::")  # to warn of them
+EVERY_INTERFACE = ("0.0.0.0", "::")  # hosts that the rules warn of
 _PACKAGES = {
     "ros2": "cyclonedds",
     "ros2-zenoh": "zenoh",

@@ -67,7 +67,7 @@ class DrivesBattery(Battery):
 
 
 class InaBattery(Battery):
-    """A power monitor of Texas Instruments on an I2C bus, its IN+ at the battery."""
+    """A power monitor of Texas Instruments on an I2C bus, with its IN+ at the battery."""
 
     source: Literal["ina219", "ina226", "ina228", "ina238"]
     bus: str

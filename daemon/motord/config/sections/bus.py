@@ -160,8 +160,8 @@ class McapPublish(BusPublish):
     """Folder of the files; it is made if it does not exist. A path that is not absolute is beside
     the robot file."""
     mode: Literal["all", "fault", "manual"] = "all"
-    """Record all; or keep the newest in memory and write it when a fault is latched; or record only
-    from start to stop on the dashboard."""
+    """What is recorded: all; or the newest in memory, which is written when a fault is latched; or
+    only from start to stop on the dashboard."""
     file_s: float = number("a new file after this time (not in mode fault)", 1, 86400, "s", 600.0)
     before_s: float = number("what a fault's file holds from before it", 1, 600, "s", 60.0)
     after_s: float = number("what a fault's file holds from after it", 0, 60, "s", 5.0)
@@ -282,7 +282,7 @@ class JoystickInput(BusInput):
     linear_axis: str = Field(default="ABS_Y", pattern=r"^ABS_[A-Z0-9_]+$")
     """Axis of the speed: away from you is forward."""
     angular_axis: str = Field(default="ABS_X", pattern=r"^ABS_[A-Z0-9_]+$")
-    """Axis of the turn rate: to the left is a left turn."""
+    """Axis of the turn rate: to the left turns left."""
     lateral_axis: str | None = Field(default=None, pattern=r"^ABS_[A-Z0-9_]+$")
     """Axis of the speed sideways, on a base that moves so: to the left moves to the left."""
     linear_m_s: float = number("speed at the end of the axis", 0.001, 50, "m/s", 0.3)
@@ -317,7 +317,8 @@ class Ros2Node(RosNode):
 
     discovery: Literal["localhost", "subnet"] = "localhost"
     """Where other nodes see this one: on this machine (run them with
-    ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or in the networks that it is connected to."""
+    ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or in the networks to which the machine is
+    connected."""
     interface: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]{1,15}$")
     """The one network interface to use, by name (discovery subnet); by default the DDS library
     chooses."""
@@ -396,8 +397,8 @@ class ZenohInput(StampedInput, ZenohNode):
 
     kind: Literal["ros2-zenoh"]
     trust_router: bool = False
-    """Every client that the router admits may move the robot, also when it is on this machine: it
-    listens to the network by default. Set it to confirm that this is meant."""
+    """Every client that the router admits may move the robot, even if the router is on this
+    machine: it listens to the network by default. Set it to confirm that this is meant."""
 
 
 class RclpyInput(BusInput):

@@ -92,8 +92,9 @@ class DynamixelLine(SerialLine):
 
     kind: Literal["dynamixel"]
     fast_sync_read: bool = False
-    """All servos answer a cycle's read in one packet, which saves most of the wire's time. Their
-    firmware has to know instruction 0x8A; while one of them fails, each answers for itself."""
+    """Whether all servos answer a cycle's read in one packet, which saves most of the wire's time.
+    Their firmware has to know instruction 0x8A; while one of them fails, each answers for
+    itself."""
 
 
 class GatewayLine(Line):

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file as values. Rules for one value alone are here, rules for several values together
-in `rules`.
+"""The robot file as values. Rules for one value alone are here; rules for several values together
+are in `rules`.
 
 Every number has a unit in its name, a range, and its unit as data in the JSON Schema. Defaults are
-on the slow and careful side.
-"""
+on the slow and careful side."""
 
 from __future__ import annotations
 
@@ -60,7 +59,7 @@ StopAction = Literal["ramp", "brake", "hold", "coast"]
 
 
 class RobotName(Section):
-    """The name of this robot."""
+    """Name of this robot."""
 
     name: Name
     """Name of the robot, and part of the names of its socket and its state page."""
@@ -145,10 +144,10 @@ class Joint(Section):
     """One driven wheel, or one joint without a base."""
 
     line: str
-    """Name of the line that it is connected to."""
+    """Name of the line that the joint's drive is connected to."""
     drive: str
-    """Name of its drive profile (motord drives), or a profile's file (NAME.toml) beside the robot
-    file."""
+    """Name of the joint's drive profile (motord drives), or a profile's file (NAME.toml) beside the
+    robot file."""
     unit: int = number(
         "Modbus address, or node on the CAN bus, of its drive; a board has none", 0, 255, "1", 1
     )
@@ -458,7 +457,7 @@ class Robot(Section):
 
     @property
     def profiles(self) -> dict[str, DriveProfile]:
-        """The profiles of its drives, by the name that the file gives them."""
+        """The profiles of the robot's drives, by the name that the robot file gives them."""
         found: dict[str, DriveProfile] = pickle.loads(self._profiles)
         return found
 

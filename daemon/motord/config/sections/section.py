@@ -72,7 +72,7 @@ class Section(BaseModel):
         extra="forbid",
         frozen=True,
         strict=True,
-        defer_build=True,  # of most tables a process needs no validator of their own
+        defer_build=True,  # most tables need no validator of their own in a process
         allow_inf_nan=False,
         field_title_generator=lambda name, _: name,
     )

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the running robot by name: `limits.linear_m_s` and its like, as in the robot file.
+"""Parameters of the running robot by name: `limits.linear_m_s` and the like, as in the robot file.
 
-JSON has no infinity: null stands for "no limit" where the robot file says inf.
-"""
+JSON has no infinity: null means no limit, as inf does in the robot file."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ def _pins(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
                 if joint.pins:
                     text = f'is only for a line of kind "pwm": this one is "{kind}"'
                     yield Finding((at, ("line", spec.name, "kind")), text)
-            elif joint.profile.bridge is not None:  # else the protocol does not fit: another rule
+            elif joint.profile.bridge is not None:  # else another rule reports the protocol
                 yield from _bridge(robot, spec, number, joint)
 
 
