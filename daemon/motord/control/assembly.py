@@ -120,7 +120,7 @@ def _modules(robot: Robot) -> list[WheelModule]:
 
 
 def _position(joint: Joint, profile: DriveProfile, checks: FeedbackChecks) -> PositionConfig:
-    """Return the settings of a joint that takes positions; for another joint it is not used.
+    """Return the settings of a joint that takes positions; `used` is 0 for any other joint.
     `zero_count` is what the counter shows at the joint's zero; rad_per_count includes gear and
     mounting."""
     if not takes_position(joint, profile):

@@ -28,8 +28,8 @@ class BatteryLevel(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """One measurement of the battery; NaN is what was not measured. `current_a` is negative while
-    the battery is discharged, as in sensor_msgs/BatteryState."""
+    """One measurement of the battery; a value that was not measured is NaN. `current_a` is negative
+    while the battery is discharged, as in sensor_msgs/BatteryState."""
 
     stamp_ns: int
     voltage_v: float
@@ -48,10 +48,10 @@ def of_drives(
     snapshot: Snapshot,
     readings: Mapping[str, float] = MappingProxyType({}),
 ) -> Measure:
-    """Return a measurement by drives: the lowest voltage among those that respond, or the voltage
-    in `readings`. Current and temperature come from `readings` alone, as a motor's current and a
-    drive's temperature are not the battery's. `readings`: values of the pack in V, A and °C, by the
-    section's keys; a missing one is NaN."""
+    """Return the drives' measurement of the battery: the lowest voltage among those that respond,
+    or the voltage in `readings`. Current and temperature come from `readings` alone, as a motor's
+    current and a drive's temperature are not the battery's. `readings`: values of the pack in V, A
+    and °C, by the section's keys; a missing one is NaN."""
     volts = [
         joint.voltage_v
         for name, joint in zip(joints, snapshot.joints, strict=True)

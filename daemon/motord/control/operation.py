@@ -117,7 +117,7 @@ class Operation:
         """Stop requests that the loop had received at the last look."""
         self._acknowledged = StopRequests()
         self._reported: set[str] = set()
-        """Reasons for leaving out a part of a command that have been logged, as each is once."""
+        """Reasons for leaving out a part of a command that were logged: each is logged once."""
         self.disarm_requested = asyncio.Event()
         """Set from a request to disarm until `acknowledge_disarm`."""
 

@@ -160,7 +160,7 @@ async def reset_odometry(operation: Operation) -> State:
 async def shut_down(operation: Operation, force: asyncio.Event) -> list[str]:
     """Bring the robot to rest, take the power off, and show OFF on the state page. Returns texts on
     what is not known to be done. `force` leaves the ramp out: then the lines brake as they end.
-    Cancel a procedure that is in progress before."""
+    Before the call, cancel a procedure that is in progress."""
     async with operation.busy:
         problems = await _come_down(operation, SHUTDOWN_RAMP_MAX_S, force)
     for problem in problems:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the local socket's methods: a dataclass for each method, whose fields check their
-values. Python's own types and a few ranges do: a library for this takes 6 MB of the daemon's
+values. Python's own types and a few ranges suffice: a library for this takes 6 MB of the daemon's
 memory."""
 
 from __future__ import annotations

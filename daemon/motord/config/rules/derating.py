@@ -12,7 +12,8 @@ from motord.config.sections.model import Robot
 
 
 def derating(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Check for whole pairs in their direction, of values that the drive reports."""
+    """Check that limits come in pairs, in the right direction, and that the drive reports their
+    values."""
     for name, joint in robot.joint.items():
         if joint.derating is None:
             continue

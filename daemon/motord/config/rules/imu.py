@@ -11,7 +11,8 @@ from motord.config.sections.line import AsciiLine, McuLine
 from motord.config.sections.model import Robot
 
 SAMPLES_PER_TIMEOUT = 2.5
-"""Least samples in a timeout: two may be lost, or late, before the wheels give the heading."""
+"""Least number of samples in a timeout: two may be lost, or late, before the wheels give the
+heading."""
 
 
 def imu_axes(robot: Robot) -> Iterator[Finding]:

@@ -23,7 +23,8 @@ def memory_bytes(robot: Robot) -> int:
 
 
 def memory_holds_the_time_before_a_fault(robot: Robot) -> Iterator[Finding]:
-    """Warn if memory may not hold that time: how long messages are depends on the robot."""
+    """Warn if memory may not hold the time before a fault: how long messages are depends on the
+    robot."""
     for name, section in _recorders(robot):
         bytes_s = MESSAGE_BYTES * sum(section.rates_hz().values())
         if section.journal:

@@ -55,8 +55,8 @@ def _stops_in_time(robot: Robot) -> Iterator[Finding]:
 
 
 def _axes_stop_alike(robot: Robot) -> Iterator[Finding]:
-    """Warn of an axis that stops slowly: a stop keeps its curvature, so it sets the time of both
-    axes."""
+    """Warn of an axis that stops slowly: a stop keeps its curvature, so that axis sets the time of
+    both."""
     linear_s, angular_s = robot.limits.axes_rest_s()
     fast_s, slow_s = sorted((linear_s, angular_s))
     if slow_s <= REST_RATIO_MAX * fast_s:

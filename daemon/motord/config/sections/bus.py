@@ -88,8 +88,8 @@ class StampedInput(BusInput):
     """An input whose commands have a stamp."""
 
     stamped: bool = True
-    """Whether every command must have the time when it was given, so that a delayed command is
-    recognized by its age. Both clocks have to agree; false: what arrives counts as new."""
+    """Whether every command must contain the time at which it was given, so that a delayed command
+    is recognized by its age. Both clocks have to agree; false: what arrives counts as new."""
 
 
 class TokenInput(StampedInput):

@@ -85,7 +85,7 @@ class Limits(Section):
         higher. `strafes`: whether the base moves sideways, too."""
         linear = max(self.linear_m_s, abs(linear_m_s))
         angular = max(self.angular_rad_s, abs(angular_rad_s))
-        # all axes slow down in proportion: as parts of its speed, the weakest axis sets both
+        # all axes slow down in proportion: the weakest one sets both, as shares of its full speed
         deceleration = min(
             self.linear_deceleration_m_s2 / linear, self.angular_deceleration_rad_s2 / angular
         )

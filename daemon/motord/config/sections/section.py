@@ -2,7 +2,7 @@
 """Base of every table of the robot file, and its numbers with a unit and a range.
 
 One process reads the file and checks it by pydantic. Processes that live long only hold the result,
-as plain values of the same classes: `validation.py` knows which of them this one is."""
+as plain values of the same classes: `validation.py` knows which kind this process is."""
 
 from __future__ import annotations
 
