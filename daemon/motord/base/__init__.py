@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Log and start-up of any process; imports nothing else of ours."""
+"""Log and start-up of any process. This package imports no other one of motord."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the packages of an optional part are installed into this copy of motord."""
+"""Command lines that install the packages of an optional part into this copy of motord."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import sysconfig
 
 
 def how_to_install(extra: str) -> str:
-    """A command line that installs what the extra of pyproject.toml needs, for the Python that runs
-    now: a checkout's environment, a wheel's, or that of the Debian package, which has no pip."""
-    from importlib import metadata  # takes long to import, and is seldom needed
+    """Return a command line that installs what the extra of pyproject.toml needs, for the Python
+    that runs now: a checkout's environment, a wheel's, or that of the Debian package, which has no
+    pip."""
+    from importlib import metadata  # imported here: it takes long, and is seldom needed
 
     rows = metadata.requires("motord") or []
     wanted = [
@@ -29,7 +30,7 @@ def how_to_install(extra: str) -> str:
 
 
 def numpy_missing() -> str:
-    """What to do about it; empty: it is installed."""
+    """Return what to do if numpy is missing; empty: it is installed."""
     if importlib.util.find_spec("numpy") is not None:
         return ""
     return f"numpy is not installed: {how_to_install('calibrate')}"

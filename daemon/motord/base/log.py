@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the log goes: to the journal, with fields to search by, where stderr is the journal's; else
-to stderr.
+"""The log's destination: the journal, with fields to search by, if stderr is the journal's; else
+stderr.
 
 The reader of the log may stop reading, and then a write blocks. The robot does not wait for that: a
 separate thread writes, and drops what does not fit into its queue.
 
-Sources: systemd.exec(5), $JOURNAL_STREAM; systemd, docs/JOURNAL_NATIVE_PROTOCOL.md.
-"""
+Sources: systemd.exec(5), $JOURNAL_STREAM; systemd, docs/JOURNAL_NATIVE_PROTOCOL.md."""
 
 from __future__ import annotations
 
@@ -29,18 +28,19 @@ _DEBUG = 7
 _AS_ERROR = {"levelno": logging.ERROR, "levelname": "ERROR"}
 _LINES_MAX = 1000
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EAGAIN, errno.EIO)
-"""A full disk, a full pipe that does not block: it may have room again."""
+"""Errors of a full disk, or of a full pipe that does not block: it may have room again."""
 _STACK_BYTES = 256 * 1024
-"""It only writes; the loop's mlockall would pin all 8 MB of an ordinary one."""
+"""Stack of the thread, which only writes; the loop's mlockall would pin all 8 MB of an ordinary
+one."""
 _LAST_WORDS_S = 0.5
-"""At the end, for what is still in the queue."""
+"""Time at the end of the process to write what is still in the queue."""
 
 
 def about(
     *, line: str = "", joints: Iterable[str] = (), event: str = "", faults: Iterable[str] = ()
 ) -> dict[str, object]:
-    """`extra` of a log record: what it is about. In the journal it becomes MOTORD_LINE,
-    MOTORD_EVENT, and a MOTORD_JOINT or MOTORD_FAULT for each."""
+    """Return `extra` of a log record: what the record is about. In the journal it becomes
+    MOTORD_LINE, MOTORD_EVENT, and a MOTORD_JOINT or MOTORD_FAULT for each."""
     fields = [("MOTORD_LINE", line), ("MOTORD_EVENT", event)]
     fields += [("MOTORD_JOINT", joint) for joint in joints]
     fields += [("MOTORD_FAULT", fault) for fault in faults]
@@ -48,14 +48,14 @@ def about(
 
 
 class _Writer(logging.Handler):
-    """Formats at once, writes lines to stderr when it can."""
+    """Handler that formats at once, and writes lines to stderr when it can."""
 
     def __init__(self, fd: int) -> None:
         super().__init__()
         self._fd = fd
         self._queue: queue.Queue[bytes | None] = queue.Queue(_LINES_MAX)
         self._lost = 0
-        # a daemon thread: one that is stuck in its write does not keep the process
+        # a daemon thread: one that is stuck in its write does not keep the process running
         self._thread = threading.Thread(target=self._work, name="motord-log", daemon=True)
         before = threading.stack_size(_STACK_BYTES)
         self._thread.start()
@@ -66,7 +66,8 @@ class _Writer(logging.Handler):
         return self.format(record).encode(errors="backslashreplace") + b"\n"
 
     def write(self, entry: bytes) -> None:
-        """Raises OSError where it can never be read. What finds no room now is lost."""
+        """Write an entry; what finds no room now is lost. Raises OSError if it can never be
+        read."""
         try:
             while entry:
                 entry = entry[os.write(self._fd, entry) :]
@@ -83,7 +84,7 @@ class _Writer(logging.Handler):
             self._queue.put_nowait(self.encode(record))
         except queue.Full:
             self._lost += 1
-        except (TypeError, ValueError) as error:  # words and values that do not fit
+        except (TypeError, ValueError) as error:  # the text and its values do not fit
             # not logging's handleError: that writes to stderr, here and now
             text = f"{record.pathname}:{record.lineno}: cannot be logged: {error}"
             self.emit(logging.makeLogRecord({"msg": "%s", "args": (text,), **_AS_ERROR}))
@@ -107,7 +108,8 @@ class _Writer(logging.Handler):
 
 
 class _JournalWriter(_Writer):
-    """Sends entries, one a datagram. While the journal is away, entries are lost."""
+    """Handler that sends entries to the journal, one a datagram. While it is away, they are
+    lost."""
 
     def __init__(self, fd: int, path: Path) -> None:
         self._path = str(path)
@@ -134,7 +136,7 @@ def _entry(message: str, priority: int, fields: Iterable[tuple[str, str]]) -> by
 
 
 def _field(name: str, value: str) -> bytes:
-    """A value of several lines comes with its length."""
+    """Return one field of an entry; a value of several lines comes with its length."""
     data = value.encode(errors="backslashreplace")
     if b"\n" not in data:
         return b"%s=%s\n" % (name.encode(), data)
@@ -142,14 +144,14 @@ def _field(name: str, value: str) -> bytes:
 
 
 def _is_journal(fd: int, environ: Mapping[str, str]) -> bool:
-    """Also a child that has its stderr elsewhere inherits the variable: device and inode differ
-    then."""
+    """Return whether stderr is the journal's. A child that has its stderr elsewhere inherits the
+    variable, too: then device and inode differ."""
     info = os.fstat(fd)
     return environ.get("JOURNAL_STREAM") == f"{info.st_dev}:{info.st_ino}"
 
 
 def set_up(environ: Mapping[str, str] = os.environ, journal: Path = JOURNAL) -> None:
-    """Once, by the daemon's entry point."""
+    """Set up the log, once, in the daemon's entry point."""
     handler: logging.Handler
     if sys.stderr is None:  # closed by the parent process: its number may be another file's by now
         handler = logging.NullHandler()

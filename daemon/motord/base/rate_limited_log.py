@@ -10,7 +10,8 @@ AGAIN_S = 10.0
 
 
 class RateLimitedLog:
-    """Logs the first of many equal messages, then one each `AGAIN_S` with their number."""
+    """Log that writes the first of many equal messages, then one each `AGAIN_S` with their
+    number."""
 
     def __init__(self, log: logging.Logger) -> None:
         self._log = log
@@ -18,7 +19,7 @@ class RateLimitedLog:
         self._silent = 0
 
     def say(self, text: str) -> None:
-        """A warning."""
+        """Log a warning, unless one was logged within the last `AGAIN_S`."""
         now_s = time.monotonic()
         if now_s < self._due_s:
             self._silent += 1
@@ -28,8 +29,8 @@ class RateLimitedLog:
 
 
 class RateLimitedFilter(logging.Filter):
-    """For the log of a library that writes a line for every message it drops: each kind of line is
-    logged as RateLimitedLog does, in our own log. Exceptions pass."""
+    """Filter for the log of a library that writes a line for every message it drops: each kind of
+    line is logged as RateLimitedLog does, in our own log. Exceptions pass."""
 
     def __init__(self, log: logging.Logger, where: str) -> None:
         """`log` is that of the library; the lines go to its parent."""
@@ -39,10 +40,10 @@ class RateLimitedFilter(logging.Filter):
         self._voices: dict[str, RateLimitedLog] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """As logging.Filter.filter."""
+        """Implement `logging.Filter.filter`: True only for exceptions."""
         if record.exc_info:
             return True
-        # by the text without its numbers, of which a library has a few
+        # one for each text without its numbers, of which a library has a few
         voice = self._voices.setdefault(str(record.msg), RateLimitedLog(self._log))
         voice.say(f"{self._where}: {record.getMessage()}")
         return False

@@ -12,7 +12,7 @@ TEXT_CHARS_MAX = 500
 
 
 class RecentLog(logging.Handler):
-    """Keeps the newest records; older ones are forgotten."""
+    """Handler that keeps the newest records, up to RECORDS_MAX."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
@@ -22,7 +22,7 @@ class RecentLog(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         try:
             text = record.getMessage()
-        except (TypeError, ValueError):  # words and values that do not fit: the log reports it
+        except (TypeError, ValueError):  # the text and its values do not fit: the log reports it
             return
         text = text.encode(errors="backslashreplace").decode()[:TEXT_CHARS_MAX]
         self._newest += 1
@@ -36,7 +36,7 @@ class RecentLog(logging.Handler):
         )
 
     def after(self, number: int) -> dict[str, Any]:
-        """Records with greater numbers, the oldest first; `time_s` is the time of day (Unix).
-        `newest` is smaller than `number` after a restart of the daemon."""
+        """Return records with greater numbers, the oldest first; `time_s` is the time of day
+        (Unix). `newest` is smaller than `number` after a restart of the daemon."""
         found = [record for record in self._records if record["number"] > number]
         return {"newest": self._newest, "records": found}

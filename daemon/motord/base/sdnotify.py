@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes to a service manager: sd_notify(3), sd_watchdog_enabled(3)."""
+"""Notifications to a service manager: sd_notify(3), sd_watchdog_enabled(3)."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from collections.abc import Mapping
 
 
 class Notifier:
-    """Datagrams to $NOTIFY_SOCKET; without a supervisor, and when it does not listen, nothing."""
+    """Sender of datagrams to $NOTIFY_SOCKET. Without a supervisor, and when it does not listen, it
+    sends nothing."""
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
         path = environ.get("NOTIFY_SOCKET", "")
         # "@name" is in the abstract name space, which the kernel spells with a leading NUL
         self._address = "\0" + path[1:] if path.startswith("@") else path
         self.watchdog_s = _watchdog_s(environ)
-        """The supervisor expects WATCHDOG=1 at least so often; None: it does not watch."""
+        """The supervisor expects WATCHDOG=1 at least this often; None: it does not watch."""
 
     def _send(self, text: str) -> bool:
-        """True when it was taken."""
+        """Send a text; return whether it was taken."""
         if not self._address:
             return False
         try:
@@ -37,16 +38,17 @@ class Notifier:
         return self._send("STOPPING=1")
 
     def watchdog(self) -> bool:
-        """Call it only when everything that must move has moved."""
+        """Feed the watchdog. Call it only when everything that must move has moved."""
         return self._send("WATCHDOG=1")
 
     def status(self, text: str) -> bool:
-        """One line for `systemctl status`."""
+        """Show one line in `systemctl status`."""
         return self._send(f"STATUS={' '.join(text.split())}")
 
 
 def _watchdog_s(environ: Mapping[str, str]) -> float | None:
-    """None also where the watchdog is meant for another process, or is not a number above 0."""
+    """Return the watchdog's time-out. None also if the watchdog is meant for another process, or is
+    not a number above 0."""
     try:
         watchdog_us = int(environ.get("WATCHDOG_USEC", ""))
         pid = int(environ.get("WATCHDOG_PID", os.getpid()))

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the robot file is read and checked. A process that lives long leaves that to a child, which
-ends when it has answered: pydantic, its validators and the rules take a third of the memory that
-the daemon needs without them.
+"""Where the robot file is read and checked: in this process, or in a child. A process that lives
+long leaves it to a child, which ends when it has answered: pydantic, its validators and the rules
+take a third of the memory that the daemon needs without them.
 
-`elsewhere` or `handed_over` comes before the first import of `motord.config`.
-"""
+Call `elsewhere` or `handed_over` before the first import of `motord.config`."""
 
 from __future__ import annotations
 
@@ -15,30 +14,30 @@ from typing import Any
 
 ANSWER_WITHIN_S = 60.0
 HERE = True
-"""Whether this process does it: then tables of the robot file are pydantic's."""
+"""Whether this process reads and checks it: then tables of the robot file are pydantic's."""
 _reader: subprocess.Popen[bytes] | None = None
 
 
 def handed_over() -> None:
-    """This process reads no robot file: it is given what another one has checked."""
+    """Note that this process reads no robot file: it is given what another one has checked."""
     global HERE  # noqa: PLW0603  a property of the process
     HERE = False
 
 
 def elsewhere() -> None:
-    """Begin the child that reads one robot file, motord/config/__main__.py: it gets ready while
+    """Start the child that reads one robot file, motord/config/__main__.py: it gets ready while
     this process imports the rest."""
     global _reader  # noqa: PLW0603  a property of the process
     handed_over()
     pipe = subprocess.PIPE
     command = [sys.executable, "-m", "motord.config"]
-    # a group of its own: Ctrl-C is this process's, and the child ends with its question
+    # a process group of its own: Ctrl-C does not reach the child, which ends after its answer
     _reader = subprocess.Popen(command, stdin=pipe, stdout=pipe, process_group=0)
 
 
 def ask(*question: Any) -> Any:
-    """What the child answers, once. Raises RuntimeError: it has failed, and written why to
-    stderr."""
+    """Return the child's answer; this works once. Raises RuntimeError if the child has failed, and
+    written the reason to stderr."""
     global _reader
     if _reader is None:
         raise RuntimeError("there is no process that reads a robot file")

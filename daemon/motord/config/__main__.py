@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The child of a process that lives long: reads one robot file for it (validation.py). The question
-comes on standard input, the answer goes to standard output, both as Python's objects."""
+comes on standard input, the answer goes to standard output, both as pickled objects."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from motord.config.load import answer
 
 
 def main() -> None:
-    """Answer, if there is a question."""
+    """Read the question and write its answer; do nothing without a question."""
     if raw := sys.stdin.buffer.read():
         answered = pickle.dumps(answer(*pickle.loads(raw)))
-        # the reader has gone: no error
+        # it is no error if the reader has gone
         with contextlib.suppress(BrokenPipeError), os.fdopen(os.dup(1), "wb") as answers:
             answers.write(answered)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pydantic found, in the words of the robot file; and a mended copy of the file, so that the
+"""Pydantic's findings in the terms of the robot file; and a mended copy of the file, so that the
 checks which need a whole robot can find the other mistakes in the same run."""
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from motord.config.sections.quantities import conversion
 from motord.config.toml_lines import Path
 from motord_hal.base.nearest import nearest
 
-# Kinds and keys that motord plans and does not have; * is any name.
+# Kinds and keys that are planned, but that this version does not have; * is any name.
 _LATER: dict[Path, frozenset[str]] = {
     ("base", "kind"): frozenset({"joints"}),
     ("line", "*", "kind"): frozenset({"canopen", "gpio", "serial"}),
@@ -48,14 +48,14 @@ _BAD_TEXT = {
     PART_NAME: "must be lower-case letters, digits and _, and begin with a letter",
     CHANNEL: "is not a channel: channels are numbered 1 to 8",
 }
-"""By patterns; all others are those of names."""
+"""Texts by pattern; all other patterns are those of names."""
 _NOTHING = object()
 
 
 @dataclass(frozen=True, slots=True)
 class Complaint:
-    """A problem at a path. In the mended copy `stand_in` takes the value's place (`_NOTHING`: the
-    key goes), or `rename` the key's, and then `factor` times the value the value's."""
+    """A problem at a path. In the mended copy `stand_in` replaces the value (`_NOTHING`: the key is
+    removed), or `rename` replaces the key, and `factor` times the value replaces the value."""
 
     path: Path
     text: str
@@ -65,8 +65,8 @@ class Complaint:
 
 
 def explain(schema: Node, errors: Sequence[ErrorDetails]) -> list[Complaint]:
-    """One complaint for each mistake in a file of this schema: what only follows from another one
-    is left out."""
+    """Return one complaint for each mistake in a file of this schema; one that only follows from
+    another is left out."""
     found = [
         _complaint(schema, error)
         for error in errors
@@ -82,11 +82,11 @@ def explain(schema: Node, errors: Sequence[ErrorDetails]) -> list[Complaint]:
 
 
 def mended(data: dict[str, Any], complaints: Sequence[Complaint]) -> dict[str, Any]:
-    """A copy in which stand-ins take the place of everything that was complained about."""
+    """Return a copy in which stand-ins replace everything that has a complaint."""
     data = copy.deepcopy(data)
     for hit in complaints:
         around: Any = data
-        # an element's list goes as a whole
+        # for a wrong element the whole list is removed
         *parents, key = hit.path[:-1] if isinstance(hit.path[-1], int) else hit.path
         for part in parents:
             inside = isinstance(around, dict | list) and (part in around or isinstance(part, int))
@@ -103,8 +103,8 @@ def mended(data: dict[str, Any], complaints: Sequence[Complaint]) -> dict[str, A
 
 
 def touched(complaints: Sequence[Complaint]) -> set[Path]:
-    """The paths that were mended: what follows from them is not reported. A table without one of
-    its entries is another table."""
+    """Return the paths that were mended: problems that follow from them are not reported. A table
+    without one of its entries counts as mended, too."""
     renamed = {(*hit.path[:-1], hit.rename) for hit in complaints if hit.rename}
     lacking = {hit.path[:-1] for hit in complaints if hit.stand_in is _NOTHING}
     return {hit.path for hit in complaints} | renamed | lacking
@@ -140,7 +140,7 @@ def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
 
 
 def _quotes(kind: str, value: Any) -> str:
-    """How the same value is written as what it has to be."""
+    """Return how to write the same value in the type that it must have."""
     if kind == "string_type" and isinstance(value, int | float):
         return f": write {_shown(str(value))}"
     if kind in ("float_type", "int_type") and isinstance(value, str):
@@ -178,13 +178,13 @@ def _no_choice(path: Path, node: Node, value: Any) -> str:
 
 
 def _general(path: Path) -> Path:
-    """Names of lines, joints and so on made equal."""
+    """Return the path with * instead of the name of a line, a joint and so on."""
     named = ("line", "joint", "input", "publish")
     return (path[0], "*", *path[2:]) if len(path) > 1 and path[0] in named else path
 
 
 def _stand_in(node: Node, value: Any) -> Any:
-    """Something that may stand here, as near to what stands here as possible."""
+    """Return a value that may stand here, as near to the given one as possible."""
     if words := choices(node):
         return (nearest(value, map(str, words)) if isinstance(value, str) else None) or words[0]
     if "default" in node:
@@ -203,7 +203,7 @@ def _hint(text: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A value as TOML writes it, cut where it is long."""
+    """Return a value as TOML writes it, cut if it is long."""
     if isinstance(value, dict | list | tuple):
         return "a table" if isinstance(value, dict) else "a list"
     text = json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else str(value)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rule of the robot file finds."""
+"""The result of a rule of the robot file."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from motord.config.toml_lines import Path
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """An error, or a warning about what works but deserves a look.
+    """An error, or a warning about something that works but deserves a look.
 
-    It stands on paths: it is reported at the first one, and not when any of them is wrong in
-    itself.
-    """
+    It is reported at the first of its paths; it is not reported if any of its paths is wrong by
+    itself."""
 
     paths: tuple[Path, ...]
     text: str

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a file (and `--set` options) to a Robot, or to every problem at once, in this process."""
+"""Reader of a robot file (and `--set` options) in this process: a Robot, or every problem at
+once."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ WHERE_FROM = "motord init writes a robot file, motord robots prints examples"
 def answer(
     path: str | File, overrides: Sequence[str], text: str | None
 ) -> Robot | tuple[Problem, ...]:
-    """The robot, or every problem of its file: as `load_robot`."""
+    """Return the robot, or every problem of its file. The arguments are those of `load_robot`."""
     try:
         return _robot(File(path), overrides, text)
     except ConfigError as error:
@@ -55,7 +56,7 @@ def _robot(file: File, overrides: Sequence[str], text: str | None) -> Robot:
 
 
 def _override(data: dict[str, Any], option: str) -> Path:
-    """Put KEY=VALUE into the data; returns the key as a path."""
+    """Put KEY=VALUE into the data; return the key as a path."""
     key, equals, value = option.partition("=")
     try:
         table: Any = bounded.toml(f"{key} = 0") if equals and "\n" not in key else None

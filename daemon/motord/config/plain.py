@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The names of pydantic that tables of the robot file use, for a process that only holds values
-which another one has checked: pydantic and its validators take 14 MB of memory.
-"""
+"""Replacements for what the tables of the robot file use of pydantic, for a process that only holds
+values which another one has checked: pydantic and its validators take 14 MB of memory."""
 
 from __future__ import annotations
 
@@ -12,7 +11,7 @@ ConfigDict = dict
 
 
 class Field:
-    """A field of a class: what it was declared with. Of an object: its default, where it has no
+    """A field as its class declares it. On an object, it is the default of a field without a
     value."""
 
     def __init__(
@@ -32,22 +31,22 @@ class Field:
         self.metadata = [SimpleNamespace(**{k: v}) for k, v in ends.items() if v is not None]
 
     def __get__(self, found: Any, kind: type) -> Any:
-        """Only for what has no value of its own."""
+        """Return the field for a class, its default for an object that has no value of its own."""
         return self if found is None else self.default
 
 
 def PrivateAttr(default: Any) -> Any:  # noqa: N802  pydantic's name
-    """A value that is no key of the file."""
+    """Declare a value that is no key of the file."""
     return default
 
 
 def StringConstraints(**rules: Any) -> dict[str, Any]:  # noqa: N802  pydantic's name
-    """What a string may be: checked already."""
+    """Declare what a string may be; this has been checked already."""
     return rules
 
 
 class BaseModel:
-    """Values that do not change, by attribute."""
+    """An object whose values are attributes that do not change."""
 
     __slots__ = ("__dict__", "model_fields_set")
     model_fields: ClassVar[dict[str, Field]] = {}
@@ -65,7 +64,7 @@ class BaseModel:
         object.__setattr__(self, "model_fields_set", given)
 
     def __getstate__(self) -> dict[str, Any]:
-        """As pydantic's objects are pickled."""
+        """Return the state in the form in which pydantic pickles objects."""
         return {
             "__dict__": vars(self),
             "__pydantic_private__": None,
@@ -73,7 +72,7 @@ class BaseModel:
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """As pydantic's objects are pickled."""
+        """Take a state in the form in which pydantic pickles objects."""
         private = state["__pydantic_private__"] or {}
         self._set(state["__dict__"] | private, state["__pydantic_fields_set__"])
 
@@ -81,7 +80,7 @@ class BaseModel:
         raise AttributeError(f"{type(self).__name__}.{name} does not change")
 
     def model_copy(self, *, update: dict[str, Any]) -> Self:
-        """The same, with other values."""
+        """Return a copy with other values."""
         copy = object.__new__(type(self))
         copy._set(vars(self) | update, self.model_fields_set | set(update))
         return copy

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with a robot file, and where."""
+"""Problems of a robot file, and where they are."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from motord_hal.base.nearest import nearest
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Printed as `file:line: key: problem`. Line 0: no line (an option, a missing file)."""
+    """A problem, printed as `file:line: key: problem`. Line 0: no line (an option, a missing
+    file)."""
 
     file: str
     line: int
@@ -24,12 +25,12 @@ class Problem:
         return " ".join(row.splitlines())  # one problem, one line, whatever a key holds
 
     def as_warning(self) -> Problem:
-        """The same, marked for a reader."""
+        """Return the same problem, marked as a warning."""
         return replace(self, text=f"warning: {self.text}")
 
 
 class ConfigError(ValueError):
-    """A robot file that cannot be used; `problems` are all there are."""
+    """Error for a robot file that cannot be used; `problems` are all of its problems."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(problems)
@@ -37,7 +38,8 @@ class ConfigError(ValueError):
 
 
 def candidates(word: str, known: Iterable[str]) -> list[str]:
-    """The known words that may be meant: those that begin with it, or else the nearest one."""
+    """Return the known words that may be meant: those that begin with it, or else the nearest
+    one."""
     words = list(known)
     begun = [other for other in words if len(word) > 2 and other.startswith(word)]
     near = nearest(word, words)
@@ -45,7 +47,7 @@ def candidates(word: str, known: Iterable[str]) -> list[str]:
 
 
 def dotted(path: Iterable[str | int]) -> str:
-    """A path as TOML writes a key, with [i] for array elements."""
+    """Return a path as TOML writes a key, with [i] for array elements."""
     text = ""
     for part in path:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the readers of robot files and of drive profiles share: text, TOML, and every problem of a
-file at its line."""
+"""Functions that the readers of robot files and of drive profiles share: text, TOML, and every
+problem of a file at its line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Found = TypeVar("Found")
 
 
 class Places:
-    """Where in a file, or in which option, a path is given."""
+    """Where the file, or a --set option, gives each path."""
 
     def __init__(self, file: str, text: str) -> None:
         self.file = file
@@ -46,7 +46,7 @@ class Places:
     def sorted(
         self, found: Sequence[Finding], *, warnings: bool, more: Sequence[Complaint] = ()
     ) -> list[Problem]:
-        """In the file's order, errors or warnings."""
+        """Return the errors or the warnings in the file's order."""
         chosen = [(hit.paths[0], hit.text) for hit in found if hit.warning == warnings]
         chosen += [(hit.path, hit.text) for hit in more]
         problems = dict.fromkeys(self.problem(path, text) for path, text in chosen)
@@ -54,7 +54,7 @@ class Places:
 
 
 def read_text(file: File, where_from: str = "") -> str:
-    """What is in the file; `where_from`: how to get one. Raises ConfigError."""
+    """Return the content of the file; `where_from`: how to get one. Raises ConfigError."""
     try:
         return bounded.read(file).decode()
     except FileNotFoundError as error:
@@ -70,7 +70,7 @@ def read_text(file: File, where_from: str = "") -> str:
 
 
 def parse(file: File, text: str) -> dict[str, Any]:
-    """The tables of a TOML text. Raises ConfigError."""
+    """Return the tables of a TOML text. Raises ConfigError."""
     try:
         return bounded.toml(text)
     except tomllib.TOMLDecodeError as error:
@@ -88,7 +88,7 @@ def all_problems(
     validate: Callable[[dict[str, Any]], Found],
     rules: Callable[[Found], Sequence[Finding]],
 ) -> list[Problem]:
-    """What pydantic has found in `data`, and what the rules find in a mended copy."""
+    """Return what pydantic has found in `data`, and what the rules find in a mended copy."""
     complaints = explain(schema, error.errors())
     mends, unsure = complaints, touched(complaints)
     copied = data

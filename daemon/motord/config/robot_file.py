@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`load_robot`, wherever the robot file is read."""
+"""`load_robot`, which reads the robot file in this process or by a child."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def load_robot(
     path: str | Path, overrides: Sequence[str] = (), *, text: str | None = None
 ) -> Robot:
     """Read a robot file. `overrides` are KEY=VALUE: a dotted key, and a value as TOML writes it
-    (else it is taken for a text); `text` is taken for what is in the file. Raises ConfigError with
-    every problem; what only deserves a look is in `robot.warnings`."""
+    (else it is taken as a string); `text` replaces the file's content. Raises ConfigError with
+    every problem; problems that only deserve a look are in `robot.warnings`."""
     if validation.HERE:
         from motord.config.load import answer
 

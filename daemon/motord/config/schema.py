@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON Schemas of the robot file and of drive profiles: for editors (`motord schema`) and for
-the words of errors."""
+"""The JSON Schemas of the robot file and of drive profiles, for editors (`motord schema`) and for
+the texts of errors."""
 
 from __future__ import annotations
 
@@ -23,17 +23,19 @@ Node = Mapping[str, Any]
 
 
 def robot_schema() -> dict[str, Any]:
-    """JSON Schema, draft 2020-12; each number's SI unit stands beside it as `unit`."""
+    """Return the schema of the robot file, draft 2020-12; each number's SI unit stands beside it as
+    `unit`."""
     return _schema(Robot, "urn:motord:robot-file:1", "motord robot file")
 
 
 def drive_schema() -> dict[str, Any]:
-    """The same of a drive profile; of a number in the drive's own unit, `unit` is "1"."""
+    """Return the schema of a drive profile; a number in the drive's own unit has `unit` "1"."""
     return _schema(DriveFile, "urn:motord:drive-profile:1", "motord drive profile")
 
 
 def _schema(root: type[Section], identifier: str, title: str) -> dict[str, Any]:
-    """`identifier` does not change with the place of the schema's file."""
+    """Return the schema of a file. `identifier` does not change with the place of the schema's
+    file."""
     schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": identifier,
@@ -56,8 +58,8 @@ def _sections(model: type[Section]) -> Iterator[type[Section]]:
 
 
 def _texts_of(model: type[Section]) -> dict[str, str]:
-    """The string below each field, by its name. Pydantic could read these strings itself, but it
-    would do so at every start of a program, for 0.1 s."""
+    """Return the string below each field, by the field's name. Pydantic could read these strings
+    itself, but it would do so at every start of a program, for 0.1 s."""
     found: dict[str, str] = {}
     for kind in reversed(model.__mro__):
         if issubclass(kind, Section):
@@ -67,7 +69,7 @@ def _texts_of(model: type[Section]) -> dict[str, str]:
 
 @functools.cache
 def _texts_in(module: str) -> dict[str, dict[str, str]]:
-    """Of each class of a module."""
+    """Return the strings below the fields of each class of a module."""
     tree = ast.parse(inspect.getsource(sys.modules[module]))
     return {node.name: dict(_texts(node)) for node in tree.body if isinstance(node, ast.ClassDef)}
 
@@ -79,7 +81,7 @@ def _texts(body: ast.ClassDef) -> Iterator[tuple[str, str]]:
 
 
 def _drop_infinities(node: Any) -> None:
-    """JSON has no infinity; the description names a default of it."""
+    """Remove infinite defaults: JSON has no infinity, and the description names them."""
     if isinstance(node, dict):
         default = node.get("default")
         if isinstance(default, float) and math.isinf(default):
@@ -116,7 +118,7 @@ def _kinds(node: Node) -> Mapping[str | int, str]:
 
 
 def _option(node: Node, part: str | int) -> Node | None:
-    """The table of that name among several that may stand here, or the word."""
+    """Return the option of that name among several tables, or words, that may stand here."""
     for option in node.get("oneOf", ()):
         if option.get("$ref", "#/$defs/word") == f"#/$defs/{part}":
             found: Node = option
@@ -135,7 +137,7 @@ def _child(node: Node, part: str | int) -> Node:
 
 
 def _resolve(schema: Node, node: Node) -> Node:
-    """The node itself, behind a reference or an "or nothing"."""
+    """Return the node itself, behind a reference or a choice with null."""
     for option in node.get("anyOf", ()):
         if option.get("type") != "null":
             node = {**node, **option}
@@ -146,14 +148,14 @@ def _resolve(schema: Node, node: Node) -> Node:
 
 
 def choices(node: Node) -> list[str | int]:
-    """The words or numbers that may stand here; none where any may."""
+    """Return the words or numbers that may stand here; empty: any may."""
     if "const" in node:
         return [node["const"]]
     return list(node.get("enum", ())) or [str(kind) for kind in _kinds(node)]
 
 
 def allowed(node: Node) -> str:
-    """`0.02 to 20 m`, `"left", "right"`, or nothing."""
+    """Return what is allowed, as text: `0.02 to 20 m`, `"left", "right"`, or nothing."""
     unit = node.get("unit", "1")
     suffix = "" if unit == "1" else f" {unit}"
     low, high = node.get("minimum"), node.get("maximum")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with a text that is not TOML: where, and the likely cause in a sentence."""
+"""Explanations of a text that is not TOML: the place, and the likely cause in a sentence."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _KEY = re.compile(r"\s*([A-Za-z0-9_.\"' -]+?)\s*=")
 
 
 def explain_syntax(text: str, error: tomllib.TOMLDecodeError) -> tuple[int, str]:
-    """The line, and one sentence: column, cause and cure."""
+    """Return the line, and one sentence: column, cause and cure."""
     found = _PLACE.fullmatch(str(error))
     words = found[1] if found else str(error)
     rows = text.splitlines() or [""]
@@ -36,7 +36,7 @@ def _sentence(what: str, cause: str) -> str:
 
 
 def _plain(words: str) -> str:
-    """One line, and no Python."""
+    """Return the message as one line, without Python's notation."""
     return " ".join(words.split()).replace("'\\n'", "at the end of the line")
 
 
@@ -70,7 +70,8 @@ def _unfinished(rows: list[str]) -> str:
 
 
 def _twice(rows: list[str], line: int) -> tuple[int, str]:
-    """A table or a key that stands there already: the line of its second time, both named."""
+    """Find a table or a key that is there twice: return its second line, and a text with both
+    lines."""
     seen: dict[tuple[str, str], int] = {}
     table = ""
     for number, row in enumerate(rows, 1):

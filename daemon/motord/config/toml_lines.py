@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which line of a TOML text holds which key. No TOML library reports it: this reader does, for
+"""Line numbers of the keys of a TOML text. No TOML library reports them: this reader does, for
 texts that tomllib has already accepted (https://toml.io/en/v1.0.0)."""
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ Path = tuple[str | int, ...]
 
 
 def lines_of(text: str) -> dict[Path, int]:
-    """Line number, from 1, of every table, key and array element."""
+    """Return the line number, from 1, of every table, key and array element."""
     return _Reader(text).document()
 
 
 def line_of(lines: dict[Path, int], path: Path) -> int:
-    """Line of the path, or of what is nearest around it; 1 where nothing is."""
+    """Return the line of the path, or of the nearest table around it; 1: there is neither."""
     return next((lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in lines), 1)
 
 
 class _Reader:
-    """Reads tokens once, left to right; `self.tokens[-1]` is the next one."""
+    """Reader of the tokens, once, left to right; `self.tokens[-1]` is the next one."""
 
     def __init__(self, text: str) -> None:
         self.tokens: list[tuple[str, int]] = []

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a robot file means: the numbers that follow from it, for a person to compare with the
-robot."""
+"""The numbers that follow from a robot file, for a person to compare with the robot."""
 
 from __future__ import annotations
 
@@ -21,7 +20,7 @@ RPM_PER_RAD_S = 60.0 / math.tau
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wheel:
-    """One joint at the robot's top speed."""
+    """One wheel at the robot's top speed."""
 
     joint: str
     velocity_rad_s: float
@@ -29,7 +28,7 @@ class Wheel:
     motor_rpm: float
     wheel_radius_m: float
     travel_per_count_mm: float | None
-    """On the ground. None: nothing counts."""
+    """Travel on the ground. None: there is no counter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,26 +37,26 @@ class FreeJoint:
 
     joint: str
     takes: str
-    """`position` or `velocity`."""
+    """`position` or `velocity`: what the joint takes."""
     position_min_rad: float | None
-    """None: it takes velocities."""
+    """None: the joint takes velocities."""
     position_max_rad: float | None
     velocity_min_rad_s: float
     velocity_max_rad_s: float
     acceleration_rad_s2: float
     stop_time_s: float
-    """From full speed, by a stop."""
+    """Time of a stop from full speed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wire:
-    """One line. `cycle_hz`: requested; `share`: of the wire's time, 1 is all of it."""
+    """One line. `cycle_hz`: requested rate; `share`: part of the wire's time, 1 is all of it."""
 
     line: str
     cycle_hz: float
     share: float
     most_hz: float
-    """Rate at which the wire is full."""
+    """Rate at which the wire is fully used."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,20 +78,20 @@ class Understood:
     on_spot_rad_s: float
     stop_time_s: float
     stop_distance_m: float
-    """From top speed, by a stop."""
+    """Distance of a stop from top speed."""
     lost_distance_m: float
-    """From top speed, when the commands end: with the time until that is noticed."""
+    """Distance from top speed when the commands end, with the time until that is noticed."""
     wheels: tuple[Wheel, ...]
     joints: tuple[FreeJoint, ...]
-    """Without a base; the lengths and speeds above are 0 then."""
+    """Joints without a base; the lengths and speeds above are 0 then."""
     wires: tuple[Wire, ...]
     watchdogs: tuple[Watchdog, ...]
     defaults: dict[str, dict[str, float | str | bool | None]]
-    """Table → key → value of what the file does not give; null: no limit."""
+    """Table → key → value of what the file does not give; None: no limit."""
 
 
 def understood(robot: Robot) -> Understood:
-    """The numbers; of a robot file without problems."""
+    """Return the numbers of a robot file that has no problems."""
     profiles, free = robot.profiles, isinstance(robot.base, JointsBase)
     ranges = {
         name: velocity_range_rad_s(joint, profiles[joint.drive])
@@ -163,7 +162,7 @@ def _free_joint(robot: Robot, name: str) -> FreeJoint:
 def _wheel(robot: Robot, name: str, top_m_s: float) -> Wheel:
     joint, radius_m = robot.joint[name], robot.wheel_radius_m(name)
     per_count_rad = abs(rad_per_count(joint, robot.profiles[joint.drive]))
-    counts = per_count_rad != 1.0  # what rad_per_count returns without a counter
+    counts = per_count_rad != 1.0  # rad_per_count returns 1 without a counter
     top_rad_s = top_m_s / radius_m
     return Wheel(
         joint=name,

@@ -41,7 +41,8 @@ from motord_hal.fieldbus.ports import (
 
 
 def line_specs(robot: Robot, profiles: Profiles) -> tuple[LineSpec, ...]:
-    """One for each line, in the file's order; joints keep their place in the whole robot."""
+    """Return one spec for each line, in the file's order; joints keep their place in the whole
+    robot."""
     return tuple(
         _line_spec(robot, profiles, index, name, line)
         for index, (name, line) in enumerate(robot.line.items())
@@ -158,7 +159,8 @@ def _encoder(
 
 
 def _position_velocity_rad_s(joint: Joint, profile: DriveProfile) -> float:
-    """As the core limits the motion of its set-point; of a joint that takes none 0."""
+    """Return the speed to which the core limits the set-point's motion; 0 for a joint that takes no
+    positions."""
     return velocity_range_rad_s(joint, profile)[1] if takes_position(joint, profile) else 0.0
 
 

@@ -1,2 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon: state machine, leases, and what runs beside the loop."""
+"""Control of the robot: state machine, leases, battery, and the settings of core, loop and
+lines."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the robot file to the settings of the core, the loop and the lines. Pure."""
+"""Settings of the core, the loop and the lines, made from the robot file. Pure."""
 
 from __future__ import annotations
 
@@ -42,15 +42,17 @@ __all__ = ["core_config", "base_limits", "line_specs", "loop_settings"]
 _NOTIFY_HZ = 50.0
 """How often asyncio looks at the state when no publisher needs it more often."""
 _SLOW_PART = 0.02
-"""Parts of a wheel's working speed: slower than this it does not turn,"""
+"""Part of a wheel's working speed: a slower wheel counts as standing."""
 _APART_PART = 0.1
-"""counter and reported velocity may differ by this, a filter's lag and rounding,"""
+"""Part of the working speed by which counter and reported velocity may differ (filter,
+rounding)."""
 _PROGRESS_PART = 0.01
-"""and each such step nearer to the set-point shows a drive that is only slow."""
+"""Part of the working speed: each such step nearer to the set-point shows a drive that is only
+slow."""
 _DUTY_THAT_TURNS = 0.4
-"""The dead band of a motor and its load is unknown; at this duty it has ended."""
+"""Duty at which the dead band of a motor and its load has ended; its size is unknown."""
 _UNSURE_COUNTS_PER_S = 20.0
-"""What four counts come to when speeds are smoothed over 0.2 s (csrc/core/plausible.c)."""
+"""Rate of four counts when speeds are smoothed over 0.2 s (csrc/core/plausible.c)."""
 _STALL_COUNTS = 8.0
 """How many counts have to be missing before an encoder counts as standing."""
 
@@ -61,7 +63,7 @@ def loop_settings(
     guard: GuardConfig | None = None,
     stop_fd: int = -1,
 ) -> rt.LoopSettings:
-    """How the loop's thread is to run."""
+    """Return the settings of the loop's thread."""
     rates = (publish.rate_hz for publish in robot.publish.values())
     return rt.LoopSettings(
         rate_hz=robot.loop.rate_hz,
@@ -77,7 +79,7 @@ def loop_settings(
 
 
 def core_config(robot: Robot, profiles: Profiles) -> rt.CoreConfig:
-    """The core's config, joints in the file's order."""
+    """Return the core's config, joints in the file's order."""
     safety, modules = robot.safety, _modules(robot)
     return {
         "joint_count": len(robot.joint),
@@ -118,8 +120,9 @@ def _modules(robot: Robot) -> list[WheelModule]:
 
 
 def _position(joint: Joint, profile: DriveProfile, checks: FeedbackChecks) -> PositionConfig:
-    """All zero for a joint that takes none. What its counter shows at its zero is the joint's own
-    frame: gear and mounting are in rad_per_count."""
+    """Return the settings of a joint that takes positions; `used` is 0 for any other joint.
+    `zero_count` is what the counter shows at the joint's zero; rad_per_count includes gear and
+    mounting."""
     if not takes_position(joint, profile):
         return {"used": 0}
     bits = counter_bits(joint, profile)
@@ -150,7 +153,7 @@ def _gyro(imu: Imu | None) -> rt.GyroConfig:
 
 
 def base_limits(limits: Limits) -> rt.BaseLimits:
-    """[limits] as the core has them."""
+    """Return [limits] in the form of the core."""
     return {
         "linear": {
             "velocity_u_s": limits.linear_m_s,
@@ -180,7 +183,7 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
     row = wheel_row(robot.base, joint)
     return {
         "row": {"x": row.x, "y": row.y, "lever_m": row.lever_m},
-        # the core needs one of every joint; without a base nothing depends on it
+        # the core needs a radius for every joint; without a base nothing depends on it
         "wheel_radius_m": robot.wheel_radius_m(name) or 1.0,
         "velocity_min_rad_s": backward_rad_s,
         "velocity_max_rad_s": forward_rad_s,
@@ -197,7 +200,7 @@ def _joint(robot: Robot, name: str, profiles: Profiles) -> rt.JointConfig:
 
 
 def joint_limits(limits: JointLimits) -> rt.AxisLimits:
-    """Of a joint without a base; the core reads them of no other one."""
+    """Return the limits of a joint without a base; the core reads those of no other joint."""
     return {
         "velocity_u_s": limits.velocity_max_rad_s,
         "acceleration_u_s2": limits.acceleration_max_rad_s2,
@@ -207,9 +210,9 @@ def joint_limits(limits: JointLimits) -> rt.AxisLimits:
 
 
 def _plausible(robot: Robot, name: str, profile: DriveProfile) -> PlausibleConfig:
-    """[safety.feedback] for one wheel. A coarse encoder widens the limits by its resolution. A duty
-    without a speed loop holds no speed: only a wheel that stands at much of it, or is faster than
-    ever asked, is wrong."""
+    """Return [safety.feedback] for one wheel. A coarse encoder widens the limits by its resolution.
+    A duty without a speed loop holds no speed: then only a wheel that stands at a high duty, or is
+    faster than its set-point by its whole working speed, is in doubt."""
     checks, joint = robot.safety.feedback, robot.joint[name]
     working_rad_s = working_speed_rad_s(robot, name, profile)
     count_rad = abs(rad_per_count(joint, profile)) if counter_bits(joint, profile) else 0.0
@@ -243,7 +246,7 @@ def _plausible(robot: Robot, name: str, profile: DriveProfile) -> PlausibleConfi
 
 
 def _derating(derating: Derating) -> DeratingConfig:
-    """A limit that is not given is not in use."""
+    """Return the ranges of derating. 0 to 0: the limit is not given, and not in use."""
     found: list[DeratingRange] = []
     for begin, end in PAIRS.values():
         full, none = getattr(derating, begin), getattr(derating, end)
@@ -253,8 +256,8 @@ def _derating(derating: Derating) -> DeratingConfig:
 
 
 def speed_loop_gains(joint: Joint, profile: DriveProfile, loop: SpeedLoop) -> SpeedLoopGains:
-    """In the core's terms; none for a drive that holds the speed by itself. Static and
-    viscous feed-forward of a duty are its open-loop map."""
+    """Return the gains in the core's terms; empty for a drive that holds the speed by itself.
+    Static and viscous feed-forward of a duty are its open-loop map."""
     found = SpeedLoopGains()
     for key, core_key in gains_of(joint, profile).items():
         found[core_key] = getattr(loop, key)
@@ -265,7 +268,8 @@ def speed_loop_gains(joint: Joint, profile: DriveProfile, loop: SpeedLoop) -> Sp
 
 
 def _speed_loop(joint: Joint, profile: DriveProfile, *, reversible: bool) -> SpeedLoopConfig:
-    """A duty without gains is the open-loop map, and may get gains while the robot runs."""
+    """Return the speed loop of a joint. A duty without gains is the open-loop map, and may get
+    gains while the robot runs."""
     loop = joint.speed_loop or SpeedLoop()
     if takes_torque(joint, profile):
         most_n_m = loop.torque_max_n_m or 0.0
@@ -289,7 +293,8 @@ def _speed_loop(joint: Joint, profile: DriveProfile, *, reversible: bool) -> Spe
 def _pwm(
     joint: Joint, profile: DriveProfile, forward_rad_s: float, *, reversible: bool
 ) -> rt.PwmConfig:
-    """The duty map; for a drive that takes velocities the duty is only shown, 1 at full speed."""
+    """Return the map from speed to duty. For a drive that takes velocities the duty is only shown,
+    1 at full speed."""
     full_duty_rad_s = joint.full_duty_rad_s if takes_duty(joint, profile) else None
     return {
         "dead_band": joint.duty_dead_band,

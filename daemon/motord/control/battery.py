@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the battery is doing: from measures to a state, with hysteresis. Pure: time is an argument.
+"""The level of the battery from measurements, with hysteresis. Pure: time is an argument.
 
-What was not measured is not guessed: a value that is no number counts as no measure, and without
-measures the state is unknown.
-"""
+Nothing is guessed: a value that is not a number is no measurement, and without measurements the
+level is unknown."""
 
 from __future__ import annotations
 
@@ -19,7 +18,7 @@ from motord.config import Battery, DrivesBattery
 
 
 class BatteryLevel(enum.StrEnum):
-    """From unknown to the worst."""
+    """Level of the battery, from unknown to the worst."""
 
     UNKNOWN = "unknown"
     NORMAL = "normal"
@@ -29,7 +28,8 @@ class BatteryLevel(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """`current_a` is negative while the battery is discharged, as in sensor_msgs/BatteryState."""
+    """One measurement of the battery; a value that was not measured is NaN. `current_a` is negative
+    while the battery is discharged, as in sensor_msgs/BatteryState."""
 
     stamp_ns: int
     voltage_v: float
@@ -48,9 +48,10 @@ def of_drives(
     snapshot: Snapshot,
     readings: Mapping[str, float] = MappingProxyType({}),
 ) -> Measure:
-    """The lowest voltage among drives that respond. A motor's current is not the battery's, and
-    a drive's temperature neither: they come from `readings`, which are of the pack itself, by the
-    section's keys, in V, A and °C; what is not there is NaN."""
+    """Return the drives' measurement of the battery: the lowest voltage among those that respond,
+    or the voltage in `readings`. Current and temperature come from `readings` alone, as a motor's
+    current and a drive's temperature are not the battery's. `readings`: values of the pack in V, A
+    and °C, by the section's keys; a missing one is NaN."""
     volts = [
         joint.voltage_v
         for name, joint in zip(joints, snapshot.joints, strict=True)
@@ -71,7 +72,7 @@ def of_drives(
 
 
 class BatteryWatch:
-    """Remembers what was measured, and which level it has come to."""
+    """The newest measurement of the battery, and the level that follows from it."""
 
     def __init__(self, section: Battery, now_ns: int) -> None:
         self._section = section
@@ -83,7 +84,8 @@ class BatteryWatch:
         self.level = BatteryLevel.UNKNOWN
 
     def take(self, measure: Measure | None, now_ns: int) -> str | None:
-        """Take a measure; None: no measure came. Returns a line for the log, or None."""
+        """Take a measurement; None: there was no measurement. Returns a line for the log, or
+        None."""
         if measure is None or not measure.counts:
             return self._miss(now_ns)
         self._measure, self._received_ns, self._reported_silent = measure, now_ns, False
@@ -97,7 +99,8 @@ class BatteryWatch:
         return f"the battery is {wanted}: {measure.voltage_v:.2f} V (was {before})"
 
     def _judge(self, voltage_v: float) -> BatteryLevel:
-        """Up only by the hysteresis above the threshold, down at the threshold itself."""
+        """Return the level for a voltage. It worsens at the threshold, and improves only at the
+        threshold plus the hysteresis."""
         section, rise_v = self._section, self._section.hysteresis_v
         critical = self.level is BatteryLevel.CRITICAL
         low = critical or self.level is BatteryLevel.WARNING
@@ -119,7 +122,8 @@ class BatteryWatch:
         return f"the battery is unknown: nothing was measured for {silent_s:.1f} s"
 
     def report(self, now_ns: int) -> dict[str, Any]:
-        """Ready for JSON; None is what is not known. `age_s`: of the measure."""
+        """Return the state, ready for JSON; unknown values are None. `age_s`: age of the
+        measurement."""
         measure = self._measure
         return {
             "state": self.level.value,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Why the core does not believe its feedback, in words for a person."""
+"""Texts for a person on why the core does not believe its feedback."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CHECK = {
 def doubt_text(
     doubt: DoubtSnapshot, joint: str, now_ns: int, *, takes_position: bool = False
 ) -> str:
-    """Which wheel, what was measured, since when, and what to check."""
+    """Return one sentence: which wheel, what was measured, since when, and what to check."""
     if takes_position and doubt.fault == "following_error":
         return (
             f"{joint} has been far from its set-point for {(now_ns - doubt.since_ns) / 1e9:.1f} s"

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does everything that must move still move? Heartbeats, judged: pure, given the time.
+"""Judgement of heartbeats: whether everything that must move still moves. Pure: time is an
+argument.
 
-A heart is a counter. It beats when the counter has moved within the heart's own time. One may be
-excused (a line that is being reopened has no cycles, and reports that itself); an excused heart
-neither beats nor fails. Only when none fails is the supervisor's watchdog fed.
-"""
+A heart is a counter. It beats when the counter has moved within the heart's own time. A heart may
+be excused (a line that is being reopened has no cycles, and reports that itself); an excused heart
+neither beats nor fails. The supervisor's watchdog is fed only if no heart fails."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ class Heart:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """`stalled`: the hearts that fail now. `messages`: what has changed, for the log, once each."""
+    """Result of a look. `stalled`: hearts that fail now. `messages`: changes for the log, once
+    each."""
 
     stalled: tuple[str, ...]
     messages: tuple[str, ...]
@@ -43,13 +44,14 @@ class _Record:
 
 
 class Health:
-    """Remembers when each counter moved last."""
+    """Record of when each counter moved last."""
 
     def __init__(self) -> None:
         self._records: dict[str, _Record] = {}
 
     def judge(self, now_ns: int, hearts: Iterable[Heart]) -> Verdict:
-        """Look at all hearts. A heart that is seen for the first time has just beaten."""
+        """Judge all hearts. A heart that is seen for the first time counts as having just
+        beaten."""
         stalled: list[str] = []
         messages: list[str] = []
         for heart in hearts:
@@ -62,12 +64,13 @@ class Health:
         return Verdict(tuple(stalled), tuple(messages))
 
     def stalls(self) -> dict[str, int]:
-        """How often each heart has stopped so far."""
+        """Return how often each heart has stopped so far."""
         return {name: record.stalls for name, record in self._records.items()}
 
 
 def _update(record: _Record, heart: Heart, now_ns: int) -> str | None:
-    """Returns what is worth a line in the log: it stopped, or it beats again."""
+    """Update the record. Return a line for the log if the heart stopped or beats again, else
+    None."""
     stood_s = (now_ns - record.moved_ns) / 1e9
     if heart.excused or heart.count != record.count:
         record.count, record.moved_ns = heart.count, now_ns

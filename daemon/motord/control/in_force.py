@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of a robot that may change while it runs, as they are in force."""
+"""Parameters of a robot that may change while it runs, with their values in force."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from motord.realtime.types import SpeedLoopGains
 
 
 class InForce:
-    """At first those of the robot file."""
+    """The parameters in force; at first those of the robot file."""
 
     def __init__(self, robot: Robot) -> None:
         profiles = robot.profiles
@@ -26,7 +26,7 @@ class InForce:
             for name, joint in robot.joint.items()
             if gains_of(joint, profiles[joint.drive])
         }
-        """By joint; of those whose speed motord holds, or could."""
+        """Settings by joint, for the joints whose speed motord holds or could hold."""
         self._gains_count = 0
         self._gains: tuple[SpeedLoopGains, ...] = ()
         self.joint_limits: dict[str, JointLimits] = {
@@ -34,16 +34,16 @@ class InForce:
             for name, joint in robot.joint.items()
             if limit_keys(robot, name)
         }
-        """By joint; of a robot without a base."""
+        """Limits by joint; empty for a robot with a base."""
         self._joint_limits_count = 0
 
     def change_joint_limits(self, limits: Mapping[str, JointLimits]) -> None:
-        """They have been checked."""
+        """Put limits in force that have been checked."""
         self.joint_limits |= limits
         self._joint_limits_count += 1
 
     def change_speed_loops(self, loops: Mapping[str, SpeedLoop]) -> None:
-        """They have been checked; the output makes no step."""
+        """Put gains in force that have been checked, without a step of the output."""
         self.speed_loops |= loops
         profiles = self._robot.profiles
         self._gains = tuple(
@@ -55,7 +55,7 @@ class InForce:
         self._gains_count += 1
 
     def levels(self) -> dict[str, Any]:
-        """Their part of the core's control."""
+        """Return the parameters' part of the core's control."""
         return {
             "limits": base_limits(self.limits),
             "joint_limits_count": self._joint_limits_count,

@@ -12,7 +12,7 @@ from motord.local_socket.server import Refused
 
 
 class JointNames:
-    """The joints of a robot file, and what each takes."""
+    """The joints of a robot file: their places, and whether they take positions."""
 
     def __init__(self, robot: Robot) -> None:
         profiles = robot.profiles
@@ -27,8 +27,8 @@ class JointNames:
     def places(
         self, velocity_rad_s: Mapping[str, float], position_rad: Mapping[str, float]
     ) -> tuple[dict[int, float], dict[int, float]]:
-        """Both by the joints' places. Raises Refused for a joint that is not there, or that does
-        not take that."""
+        """Return both mappings by the joints' places. Raises Refused if the robot has a base, for
+        an unknown joint, and for a value that the joint does not take."""
         if not self.without_base:
             raise Refused("the joints of this robot are a base's, which moves them: motord drive")
         for name in (*velocity_rad_s, *position_rad):

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which sources may command: leases by connection and owner. Python grants them and ends them. The
-loop (csrc/loop/command/arbiter.c) decides which of them is in command and which is held, and
+"""Leases, the right of sources to command, by connection and owner. Python starts and ends them.
+The loop (csrc/loop/command/arbiter.c) decides which of them is in command and which is held, and
 reports it.
 
 The fresh lease with the highest priority commands; among equals the first one. A source that
-requests motion while nothing may move is held: its lease counts as zero until it has sent zero
-itself or has let it lapse, also when it connects anew for each command.
-"""
+requests motion while nothing may move is held: its lease counts as zero until the source has sent
+zero or its command has lapsed, even if it connects anew for each command."""
 
 from __future__ import annotations
 
@@ -40,7 +39,7 @@ _REFUSED = {
 
 
 class NoLease(Exception):
-    """There is no lease to be had, or the loop takes no command under it; the text says why."""
+    """No lease can be given, or the loop takes no command under it. The text gives the reason."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,20 +51,20 @@ class Lease:
     connection: int
     priority: int
     stamp_ns: int
-    """When the newest command was given."""
+    """Stamp of the newest command (CLOCK_MONOTONIC)."""
     expires_ns: int
     since: int
     rate_hz: float
-    """Commands a second, smoothed; 0: fewer than two have come."""
+    """Commands a second, smoothed. 0: fewer than two have come."""
     linear_m_s: float
     angular_rad_s: float
     lateral_m_s: float
     held: bool
-    """Its command counts as zero until it has requested zero."""
+    """Whether the command counts as zero until the source requests zero or the command lapses."""
     wants_motion: bool
-    """A value other than zero was requested, held or not."""
+    """Whether a value other than zero was requested, held or not."""
     joint_values_u: Mapping[int, float]
-    """By place, as LeaseState."""
+    """Requested values by the joint's place in the robot file, in the units of `LeaseState`."""
 
     @property
     def why_held(self) -> str:
@@ -82,9 +81,10 @@ class _Granted:
     grant: LeaseGrant
     used_ns: int
     kept: bool
-    """It has been given out: it ends with its connection, not by lapsing."""
+    """Whether its token was given to the client: then it ends with its connection, not by
+    lapsing."""
     socket_number: int = 0
-    """Which of LEASES_MAX sockets is its own, where it has been given out."""
+    """Number of its own command socket (of LEASES_MAX), if its token was given to the client."""
     sequence: int = 0
 
 
@@ -94,9 +94,9 @@ class Leases:
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
         self._granted: dict[tuple[int, str, bool], _Granted] = {}
-        """By connection, owner, and whether it has been given out."""
+        """Leases by connection, owner, and whether the token was given to the client."""
         self._gone: dict[str, int] = {}
-        """Owners that were held when their connection ended, and when their lease would have."""
+        """Owners that were held when their connection ended, and until when (ns) they stay held."""
         self._next_socket = 0
         self._judging = asyncio.Lock()
 
@@ -111,13 +111,13 @@ class Leases:
         kept: bool = False,
         rate_max_hz: float | None = None,
     ) -> LeaseGrant:
-        """The owner's lease on this connection, made or renewed. Raises ValueError for a lifetime
-        out of bounds, NoLease where there are too many."""
+        """Make or renew the owner's lease on this connection. Raises ValueError for a lifetime out
+        of bounds, NoLease if there are too many leases."""
         if not LEASE_MIN_S <= lease_s <= LEASE_MAX_S:
             raise ValueError(f"lease_s is {lease_s}: {LEASE_MIN_S} to {LEASE_MAX_S} s")
         now = now_ns()
         lifetime_ns = round(lease_s * 1e9)
-        barred_until_ns = self._gone.pop(owner, 0)  # the holder of a lease knows already
+        barred_until_ns = self._gone.pop(owner, 0)  # a lease that exists has it already
         before = self._granted.get((connection, owner, kept))
         if before is None:
             self._make_room(now)
@@ -139,11 +139,12 @@ class Leases:
         return before.grant
 
     def socket_number(self, connection: int, owner: str) -> int:
-        """Which socket is that of a lease that has been given out."""
+        """Return the number of the command socket of a lease whose token was given to the
+        client."""
         return self._granted[connection, owner, True].socket_number
 
     def _free_socket(self) -> int:
-        """The one that has been free for longest: its last owner may still send."""
+        """Return the socket that has been free for longest: its last owner may still send."""
         taken = {granted.socket_number for granted in self._granted.values() if granted.kept}
         turns = (self._next_socket + turn for turn in range(LEASES_MAX))
         socket_number = next(turn % LEASES_MAX for turn in turns if turn % LEASES_MAX not in taken)
@@ -151,7 +152,8 @@ class Leases:
         return socket_number
 
     def _make_room(self, now: int) -> None:
-        """Removes leases that lapsed so long ago that nothing of them counts any more."""
+        """Remove leases that lapsed so long ago that nothing of them counts any more. Raises
+        NoLease if there are still too many."""
         self._gone = {owner: until for owner, until in self._gone.items() if now < until}
         states = self._loop.commands().leases
         for key, granted in list(self._granted.items()):
@@ -166,14 +168,14 @@ class Leases:
         self._loop.grant(granted.grant for granted in self._granted.values())
 
     def release(self, connection: int, owner: str) -> None:
-        """The owner gives its lease back; no lease: nothing."""
+        """End the owner's lease on this connection, if there is one."""
         ended = [self._granted.pop((connection, owner, kept), None) for kept in (False, True)]
         if any(ended):
             self._publish()
 
     def disconnect(self, connection: int) -> None:
-        """Every lease of a connection ends with it. A held source stays so on its other
-        connections, those that are there and the next one."""
+        """End every lease of a connection. A held source stays held on its other connections, both
+        those that exist and its next one."""
         now = now_ns()
         states = self._loop.commands().leases
         ended = [key for key in self._granted if key[0] == connection]
@@ -189,12 +191,13 @@ class Leases:
         self._gone[owner] = max(self._gone.get(owner, 0), until_ns)
         for other in self._granted.values():
             if other.owner == owner:
-                # Later than any that it knows: the loop must see that it is another one.
+                # Later than the time that the lease has now: the loop has to see a change.
                 sent_ns = max(other.grant.barred_until_ns + 1, until_ns)
                 other.grant = replace(other.grant, barred_until_ns=sent_ns)
 
     def holds(self, connection: int) -> bool:
-        """It has a lease that was given out, or a living command. At most LEASES_MAX do."""
+        """Return whether the connection has a living command, or a lease whose token was given to
+        the client. At most LEASES_MAX connections have one."""
         return any(
             granted.connection == connection and (granted.kept or self._is_fresh(granted))
             for granted in self._granted.values()
@@ -216,8 +219,8 @@ class Leases:
         angular_rad_s: float,
         lateral_m_s: float = 0.0,
     ) -> Lease:
-        """The owner's newest command, as the loop has judged it. Raises ValueError for its numbers,
-        NoLease where the loop does not take it."""
+        """Send the owner's newest command, and return its lease as the loop has judged it. Raises
+        ValueError for a number out of bounds, NoLease if the loop does not take the command."""
         twist = (linear_m_s, angular_rad_s, lateral_m_s)
         sideways = f" and {lateral_m_s:g} m/s sideways" if lateral_m_s != 0.0 else ""
         words = f"a command of {linear_m_s:g} m/s, {angular_rad_s:g} rad/s{sideways}"
@@ -247,7 +250,8 @@ class Leases:
         velocity_rad_s: Mapping[int, float],
         position_rad: Mapping[int, float],
     ) -> Lease:
-        """As `submit`, of joints without a base, by their places."""
+        """Send a command of joints without a base, by their places. Returns and raises as
+        `submit`."""
         if not all(map(math.isfinite, (*velocity_rad_s.values(), *position_rad.values()))):
             raise ValueError("a command of joints is not finite")
         lease = await self._submit(
@@ -266,7 +270,8 @@ class Leases:
     async def _submit(
         self, source: tuple[int, str, int, float], made: Callable[[bytes, int], bytes]
     ) -> Lease:
-        """`source`: connection, owner, priority and lease_s."""
+        """Send the datagram that `made` gives for a token and a sequence number, and return the
+        lease. `source`: connection, owner, priority and lease_s."""
         async with self._judging:  # one at a time: a refusal does not name its command
             grant = self.grant(*source)
             granted = self._granted[source[0], source[1], False]
@@ -280,7 +285,8 @@ class Leases:
         return _lease(granted, state)
 
     async def _judged(self, number: int, sequence: int, before: CommandReport) -> LeaseState:
-        """Wait until the loop has seen it. Raises TimeoutError, NoLease."""
+        """Wait until the loop has taken the command, and return the state of its lease. Raises
+        NoLease if the loop refuses it, TimeoutError after JUDGED_WITHIN_S."""
         async with within(JUDGED_WITHIN_S):
             while True:
                 report = self._loop.commands()
@@ -294,7 +300,7 @@ class Leases:
 
     # ------------------------------------------------------------------------------------ looking
     def fresh(self) -> list[Lease]:
-        """Those with a living command; the one in command first."""
+        """Return the leases with a living command, the one in command first."""
         now = now_ns()
         states = self._loop.commands().leases
         found = (
@@ -305,11 +311,12 @@ class Leases:
         return sorted(found, key=lambda lease: (-lease.priority, lease.since))
 
     def commander(self) -> Lease | None:
-        """Whose command counts now."""
+        """Return the lease in command; None: no command is alive."""
         return next(iter(self.fresh()), None)
 
     def wanting(self) -> str | None:
-        """A source that requests motion, whether it is granted or not."""
+        """Return the owner of a lease that requests motion, whether it is held or not; None: none
+        does."""
         return next((lease.owner for lease in self.fresh() if lease.wants_motion), None)
 
 

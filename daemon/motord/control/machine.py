@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The daemon's state machine: a table, two guards and one pure function.
 
-Nothing here acts. The caller does what an event stands for and then takes the step, so that a state
-is only ever shown when it is true.
-"""
+This module moves nothing. The caller does what an event stands for and then takes the step, so that
+a state is only shown when it is true."""
 
 from __future__ import annotations
 
@@ -13,7 +12,8 @@ from dataclasses import dataclass
 
 
 class State(enum.StrEnum):
-    """In the order of their numbers on the state page: append, never insert."""
+    """States of the daemon in the order of their numbers on the state page: append, never
+    insert."""
 
     OFF = "off"
     CONFIGURING = "configuring"
@@ -26,30 +26,31 @@ class State(enum.StrEnum):
 
     @property
     def number(self) -> int:
-        """The state as the state page shows it."""
+        """Number of the state on the state page."""
         return tuple(State).index(self)
 
     @property
     def live(self) -> bool:
-        """The drives are under power because a client armed."""
+        """Whether the drives are under power because a client armed."""
         return self in (State.ARMED, State.MOVING, State.STOPPING)
 
 
 class Event(enum.StrEnum):
-    """What was asked for (ARM to SHUTDOWN), and what was seen."""
+    """Events: requests of clients (ARM to SHUTDOWN), and what the daemon observes (from START
+    on)."""
 
     ARM = "arm"
     """Every drive is enabled and the core has armed."""
     DISARM = "disarm"
-    """Come to rest, to take the power off."""
+    """Come to rest, then take the power off."""
     STOP = "stop"
-    """Come to rest, stay armed."""
+    """Come to rest, and stay armed."""
     ESTOP = "estop"
     RESET = "reset"
     SHUTDOWN = "shutdown"
     """The drives are off and the loop ends."""
     START = "start"
-    """The loop runs, the lines are being opened."""
+    """The loop runs, and the lines are being opened."""
     READY = "ready"
     """Every line has configured every drive."""
     LOST = "lost"
@@ -57,7 +58,7 @@ class Event(enum.StrEnum):
     MOVED = "moved"
     RESTED = "rested"
     STOPPED = "stopped"
-    """At rest after STOP."""
+    """The robot is at rest after STOP."""
     DISARMED = "disarmed"
     """The power is off."""
     FAULT = "fault"
@@ -66,28 +67,28 @@ class Event(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why not, and what to do about it: one sentence for a person."""
+    """Why an event may not happen, and what to do about it: one sentence for a person."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
-    """What the guards of ARM and RESET look at."""
+    """Facts by which the guards of ARM and RESET decide."""
 
     unready_lines: tuple[str, ...] = ()
     stale_joints: tuple[str, ...] = ()
     lost_positions: tuple[str, ...] = ()
-    """Joints that take positions, and where they are is not known."""
+    """Joints that take positions, but whose position is not known."""
     drive_faults: tuple[str, ...] = ()
-    """`joint: words` for each joint whose drive reports a fault."""
+    """`joint: fault words` for each joint whose drive reports a fault."""
     commanding: str | None = None
-    """Owner of a lease that requests motion."""
+    """Owner of a lease that requests motion; None: no lease does."""
     at_rest: bool = True
     estop_input: str = ""
-    """Why the emergency stop's contact stops the robot now."""
+    """Why the emergency stop's contact stops the robot now; empty: it does not."""
     battery_forbids: bool = False
-    """It is critical, and the robot file forbids driving then."""
+    """Whether the battery is critical and the robot file forbids driving then."""
 
 
 _SAME = {state: state for state in State}
@@ -132,14 +133,14 @@ _ROWS: dict[Event, _Row] = {
     Event.DISARMED: _SAME | {state: State.IDLE for state in State if state.live},
     Event.FAULT: dict.fromkeys(State, State.FAULT) | {State.ESTOP: State.ESTOP},
 }
-# Every pair is decided: a state, or why not.
+# For every pair of state and event: the next state, or why it may not happen.
 TABLE: dict[tuple[State, Event], State | Refusal] = {
     (state, event): target for event, row in _ROWS.items() for state, target in row.items()
 }
 
 
 def step(state: State, event: Event, facts: Facts) -> State | Refusal:
-    """Where `event` leads from `state`, or why it may not happen. Pure."""
+    """Return the state to which `event` leads from `state`, or why it may not happen. Pure."""
     target = TABLE[state, event]
     if isinstance(target, Refusal):
         return target
@@ -151,7 +152,7 @@ def step(state: State, event: Event, facts: Facts) -> State | Refusal:
 
 
 def _arm_refusal(facts: Facts) -> Refusal | None:
-    """Arming needs every drive ready, responsive and without a fault, and no request for motion."""
+    """Return why the robot may not be armed; None: it may."""
     if facts.drive_faults:
         return Refusal(f"a drive reports a fault ({_list(facts.drive_faults)}): motord reset")
     if facts.battery_forbids:
@@ -160,7 +161,8 @@ def _arm_refusal(facts: Facts) -> Refusal | None:
 
 
 def _reset_refusal(facts: Facts) -> Refusal | None:
-    """A drive's own fault is no hindrance: clearing it is part of the reset."""
+    """Return why a reset may not happen; None: it may. A drive's own fault does not prevent a
+    reset, which clears it."""
     if facts.estop_input:
         return Refusal(facts.estop_input)
     if not facts.at_rest:

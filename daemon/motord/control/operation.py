@@ -55,16 +55,16 @@ _ESTOP_INPUTS = {
 _LATCHED = (State.FAULT, State.ESTOP)
 _GUARDED = (Event.ARM, Event.RESET)
 _BARE = "estop"
-"""The core's fault without details: its state was read before the request that led to it."""
+"""The core's reason without details: its state was read before the request that led to it."""
 
 
 REASONS_MAX = 8
-"""Of one emergency stop: the first ones, and the newest."""
+"""Reasons that are kept for one emergency stop: the first ones, and the newest."""
 WHY_CHARS_MAX = 300
 
 
 def process_name(pid: int) -> str:
-    """For a sentence: its number, and its name where it still runs."""
+    """Return the number of a process, and its name if it still runs, for use in a sentence."""
     try:
         name = Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
@@ -73,7 +73,7 @@ def process_name(pid: int) -> str:
 
 
 def printable(text: str) -> str:
-    """What a client wrote, fit for one line of the log."""
+    """Return a client's text, cut and without control characters, for one line of the log."""
     return "".join(one if one.isprintable() else "?" for one in text[:WHY_CHARS_MAX])
 
 
@@ -91,38 +91,39 @@ class Operation:
         self.joint_names = JointNames(robot)
         self.in_force = InForce(robot)
         self.why: tuple[str, ...] = ()
-        """What led to the fault or the emergency stop that is latched."""
+        """Why the fault or the emergency stop is latched; empty if nothing is."""
         self.stops = 0
-        """How often it was brought to rest by a stop, an emergency stop or a fault."""
+        """How often the robot was brought to rest by a stop, an emergency stop or a fault."""
         self.battery = BatteryWatch(robot.battery, now_ns()) if robot.battery else None
-        """None: it is not measured."""
+        """None: the battery is not measured."""
         self.busy = asyncio.Lock()
-        """Held by a procedure: one at a time."""
+        """Held by a procedure: one runs at a time."""
         self.disarming = False
-        """A procedure is taking the power off: STOPPING ends with it."""
+        """Whether a procedure is taking the power off: then STOPPING ends with it."""
         self._notifier = notifier
         self._armed = False
         self._release = False
-        """Disarmed on request: drives that hold in a fault get their power taken off, too."""
+        """Whether a disarm was requested: then drives that hold in a fault lose their power,
+        too."""
         self._estop = False
         self.estops = 0
-        """How often an emergency stop came."""
+        """Number of emergency stops so far."""
         self._broken: str | None = None
-        """Why the daemon itself raises a fault."""
+        """Why the daemon itself raises a fault; None: it raises no fault."""
         self._reset_count = 0
         self._odometry_reset_count = 0
         self._changed = asyncio.Event()
         self.stop_requests = StopRequests()
-        """What the loop has received, as of the last look."""
+        """Stop requests that the loop had received at the last look."""
         self._acknowledged = StopRequests()
         self._reported: set[str] = set()
-        """Reasons for which a part of a command was left out, each logged once."""
+        """Reasons for leaving out a part of a command that were logged: each is logged once."""
         self.disarm_requested = asyncio.Event()
-        """Set until `acknowledge_disarm`."""
+        """Set from a request to disarm until `acknowledge_disarm`."""
 
     # ------------------------------------------------------------------------- the machine's steps
     def facts(self) -> Facts:
-        """What the guards look at, now."""
+        """Return the facts by which the guards decide, as they are now."""
         joints = dict(zip(self.robot.joint, self.snapshot.joints, strict=True))
         words = {name: found for line in self.lines for name, found in line.drive_faults.items()}
         return Facts(
@@ -145,7 +146,7 @@ class Operation:
         return tuple(name for place, name in enumerate(self.robot.joint) if lost >> place & 1)
 
     def estop_input(self) -> str:
-        """Why the emergency stop's contact stops the robot now; empty: it does not."""
+        """Return why the emergency stop's contact stops the robot now; empty: it does not."""
         pin = self.robot.safety.estop
         found = self.loop.status().estop_input if pin is not None else ""
         if pin is None or found not in _ESTOP_INPUTS:
@@ -154,19 +155,19 @@ class Operation:
 
     @property
     def battery_forbids(self) -> bool:
-        """The battery is critical, and the robot file says that this stops the robot."""
+        """Whether the battery is critical and the robot file stops the robot for that."""
         stops = self.robot.safety.on_battery_critical == "stop"
         return stops and self.battery is not None and self.battery.level is BatteryLevel.CRITICAL
 
     def check(self, event: Event) -> State:
-        """Where the event would lead. Raises Refused."""
+        """Return the state to which the event would lead. Raises Refused."""
         target = step(self.state, event, self.facts() if event in _GUARDED else Facts())
         if isinstance(target, Refusal):
             raise Refused(target.reason)
         return target
 
     def take(self, event: Event) -> State:
-        """Take the step, inform the core and the supervisor. Raises Refused."""
+        """Take the step, and inform the core and the supervisor. Raises Refused."""
         target = self.check(event)
         if target is self.state:
             return target
@@ -194,7 +195,7 @@ class Operation:
 
     # ------------------------------------------------------------------------- what the core gets
     def put_control(self) -> None:
-        """All levels as they follow from the state, and a heartbeat."""
+        """Give the core all levels as they follow from the state, and a heartbeat."""
         self.loop.put_control(
             Control(
                 armed=self._armed,
@@ -210,7 +211,7 @@ class Operation:
         )
 
     def set_armed(self, armed: bool) -> None:
-        """The level that the core arms on, or disarms."""
+        """Set the level by which the core arms or disarms."""
         self._armed = armed
         self._release = not armed
         self.put_control()
@@ -224,22 +225,23 @@ class Operation:
         self.put_control()
 
     def ask_odometry_reset(self) -> None:
-        """The pose to the origin, at the next tick."""
+        """Request the core to set the pose to the origin at the next tick."""
         self._odometry_reset_count += 1
         self.put_control()
 
     def set_limits(self, limits: Limits) -> None:
-        """In force from the next tick on. They have been checked."""
+        """Put limits in force from the next tick on. They have been checked."""
         self.in_force.limits = limits
         self.put_control()
 
     def set_joint_limits(self, limits: Mapping[str, JointLimits]) -> None:
-        """In force from the next tick on. They have been checked."""
+        """Put limits of joints in force from the next tick on. They have been checked."""
         self.in_force.change_joint_limits(limits)
         self.put_control()
 
     def set_speed_loops(self, loops: Mapping[str, SpeedLoop]) -> None:
-        """In force from the next tick on, without a step of the output. They have been checked."""
+        """Put gains in force from the next tick on, without a step of the output. They have been
+        checked."""
         self.in_force.change_speed_loops(loops)
         self.put_control()
 
@@ -254,8 +256,8 @@ class Operation:
         angular_rad_s: float,
         lateral_m_s: float = 0.0,
     ) -> Lease:
-        """Hand a command to the loop. Raises Refused where it will move nothing, ValueError for its
-        numbers."""
+        """Hand a command to the loop. Raises Refused if the command will move nothing, ValueError
+        for a number out of bounds."""
         return await self.obeyed(
             self.leases.submit(
                 owner=owner,
@@ -269,7 +271,7 @@ class Operation:
         )
 
     async def obeyed(self, submitting: Awaitable[Lease]) -> Lease:
-        """The lease that a command was handed to the loop under. Raises as `drive`."""
+        """Wait until a command is handed to the loop, and return its lease. Raises as `drive`."""
         try:
             lease = await submitting
         except NoLease as error:
@@ -291,7 +293,7 @@ class Operation:
         lease_s: float,
         rate_max_hz: float | None = None,
     ) -> LeaseGrant:
-        """A lease for commands that go to the loop's sockets. Raises Refused, ValueError."""
+        """Return a lease for commands that go to the loop's sockets. Raises Refused, ValueError."""
         try:
             return self.leases.grant(
                 connection, owner, priority, lease_s, kept=True, rate_max_hz=rate_max_hz
@@ -300,17 +302,17 @@ class Operation:
             raise Refused(str(error)) from error
 
     def release(self, connection: int, owner: str) -> None:
-        """The owner gives its lease back."""
+        """End the owner's lease."""
         self.leases.release(connection, owner)
 
     def disconnect(self, connection: int) -> None:
-        """All leases of a connection end with it."""
+        """End all leases of a connection."""
         self.leases.disconnect(connection)
 
     # ---------------------------------------------------------------------------- what is reported
     def estop(self, pid: int, why: str = "") -> None:
-        """At once, from every state, whatever else is going on. `pid`: the calling process;
-        `why`: its text, which takes the place of what is known of it otherwise."""
+        """Latch an emergency stop at once, from every state. `pid`: the process that requests it;
+        `why`: its reason as a text, which may be empty."""
         self._estop = True
         self.estops += 1
         sender = process_name(pid)
@@ -326,9 +328,10 @@ class Operation:
         self.put_control()
 
     def fault(self, why: str) -> None:
-        """Something that the core cannot see forbids going on under power."""
+        """Raise a fault for a cause that the core cannot see. Without power on the drives, do
+        nothing."""
         self.look()
-        if not self.state.live:  # nothing to take away, or the core has seen it already
+        if not self.state.live:  # there is no power to take off, or the core has seen it already
             return
         self._broken = why
         self._latch(Event.FAULT, [why])
@@ -341,8 +344,9 @@ class Operation:
         self.take(event)
 
     def _follow_stop_requests(self) -> None:
-        """The loop follows the requests already; now the state does. A request is acknowledged only
-        when the levels of this object hold it, so that nothing moves or arms in between."""
+        """Let the state follow the stop requests, as the loop does already. A request is
+        acknowledged only when the levels of this object hold it, so that nothing moves or arms in
+        between."""
         now, before = self.loop.stop_requests(), self.stop_requests
         if now == before or self.state is State.OFF:
             return
@@ -356,7 +360,7 @@ class Operation:
         self._acknowledge(replace(now, disarm=self._acknowledged.disarm))
 
     def acknowledge_disarm(self, requests: StopRequests) -> None:
-        """The power is off, for all that were requested by then."""
+        """Acknowledge the requests to disarm up to this one: the power is off."""
         self._acknowledge(replace(self._acknowledged, disarm=requests.disarm))
         if requests.disarm == self.stop_requests.disarm:
             self.disarm_requested.clear()
@@ -367,11 +371,12 @@ class Operation:
         self.loop.acknowledge_stops(requests)
 
     def look(self) -> None:
-        """Follow the core's newest state: it may only take freedom away."""
+        """Follow the core's newest state and the loop's stop requests. This never arms the
+        robot."""
         self._follow_stop_requests()
         try:
             before, self.snapshot = self.snapshot, self.loop.read_state()
-        except BlockingIOError:  # overtaken by the loop in every try: the next look is not far
+        except BlockingIOError:  # the loop wrote during every try: the next look comes soon
             return
         snapshot = self.snapshot
         self._report_once(
@@ -390,7 +395,7 @@ class Operation:
             estop = "estop" in snapshot.faults
             self.estops += estop and "estop" not in before.faults
             self._latch(Event.ESTOP if estop else Event.FAULT, self._explained(snapshot))
-            self._armed = False  # the next arming is an edge again
+            self._armed = False  # the core arms next at a new rising edge of this level
         elif self.disarm_requested.is_set() and not snapshot.armed:
             pass  # the loop has disarmed as requested; DISARMED follows when the power is off
         elif self.state.live and self._armed and not snapshot.armed:
@@ -400,7 +405,7 @@ class Operation:
         elif not snapshot.at_rest:
             self.take(Event.MOVED)
         elif self.state is State.STOPPING and not self.disarming:
-            if "stop_requested" in snapshot.reasons:  # else the loop has not seen it yet
+            if "stop_requested" in snapshot.reasons:  # else the loop has not seen the stop yet
                 self.take(Event.STOPPED)
         else:
             self.take(Event.RESTED)
@@ -412,7 +417,7 @@ class Operation:
             _log.warning(text, speed)
 
     def _explained(self, snapshot: Snapshot) -> list[str]:
-        """The faults in words, with names where they are known."""
+        """Return the core's faults as texts, with names and details where they are known."""
         facts = self.facts()
         details = {
             "estop": facts.estop_input,
@@ -433,8 +438,7 @@ class Operation:
         ]
 
     def on_line_event(self, event: LineEvent) -> None:
-        """A line reports each event once, so it is logged once; a loss while under power is a
-        fault."""
+        """Log an event, which a line reports once. A loss under power is a fault."""
         level = logging.WARNING if event.kind in _WORRYING else logging.INFO
         details = about(line=event.line, joints=event.joints, event=event.kind)
         _log.log(level, "%s", event.text, extra=details)
@@ -445,13 +449,13 @@ class Operation:
             self._name_also(event.text)
 
     def _name_also(self, why: str) -> None:
-        """A drive that switches itself off may report the reason only later."""
+        """Add a reason to the fault: a drive that switches itself off may report it only later."""
         if why not in self.why:
             self.why = (*self.why, why)
             _log.warning("fault: %s", why, extra=about(event="fault", faults=[why]))
 
     def beat(self) -> None:
-        """Checks what must be checked now and then, because nothing reports it; and a heartbeat."""
+        """Check what no event reports, and give the core a heartbeat."""
         self.look()
         if self._unready():
             self.take(Event.LOST)
@@ -462,7 +466,7 @@ class Operation:
         self.put_control()
 
     def _cross_check(self) -> None:
-        """Under power, every drive has to be armed: nothing else may have changed that."""
+        """Raise a fault unless every drive is armed, as it has to be under power."""
         unarmed = self._unready() or [
             f"{joint} is not armed any more"
             for line in self.lines
@@ -478,8 +482,8 @@ class Operation:
         changed.set()
 
     async def until(self, condition: Callable[[], bool], deadline_s: float) -> bool:
-        """Wait until the condition holds; it is looked at with each snapshot and each step. False:
-        it did not within the deadline."""
+        """Wait until the condition holds, and return whether it did within the deadline. It is
+        looked at with each snapshot and each step."""
         try:
             async with within(deadline_s):
                 while not condition():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps a line or a drive from being armed, in the words of the line's own events."""
+"""Texts on what a line or a drive waits for before it can be armed, from the line's own events."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ _HERE_AGAIN = (EventKind.DRIVE_READY, EventKind.DRIVE_BACK)
 
 
 class Waiting:
-    """Remembers the newest event about each line and joint that is not there."""
+    """The newest event about each line and joint that is not ready."""
 
     def __init__(self) -> None:
         self._lost: dict[str, str] = {}
-        """By line."""
+        """Text of the event by line."""
         self._unresponsive: dict[str, str] = {}
-        """By joint."""
+        """Text of the event by joint."""
 
     def note(self, event: LineEvent) -> None:
-        """An event of a line."""
+        """Remember an event of a line, or forget the one that it ends."""
         if event.kind is EventKind.LINE_LOST:
             self._lost[event.line] = event.text
         elif event.kind is EventKind.LINE_OPEN:
@@ -31,7 +31,7 @@ class Waiting:
                 self._unresponsive.pop(joint, None)
 
     def of(self, line: Line) -> str | None:
-        """What this line waits for now; None: it and all of its drives are ready."""
+        """Return what this line waits for; None: it and all of its drives are ready."""
         if line.state is LineState.CLOSED:
             name, port = line.spec.name, line.spec.port
             return self._lost.get(name, f"{name}: {port} is being opened")

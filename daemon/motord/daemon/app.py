@@ -45,8 +45,9 @@ _log = logging.getLogger(__name__)
 
 
 class _Over(Exception):
-    """Ends the group of tasks, which cancels each of them once. Were they cancelled one by one, the
-    group would do it again when one of them fails meanwhile, and cut off the end of a line."""
+    """Exception that ends the group of tasks, which then cancels each of them once. If they were
+    cancelled one by one, the group would do it again when one of them fails meanwhile, and cut off
+    the end of a line."""
 
 
 async def run(
@@ -56,13 +57,13 @@ async def run(
     *,
     starts_bus: bool = True,
 ) -> None:
-    """The daemon, until a signal ends it: starts disarmed, ends at rest and disarmed.
-    `on_ready` is called once, with the socket's path, when it listens. `starts_bus`: motord-bus is
-    started where the robot file has something for it; else another program does that.
+    """Run the daemon until a signal ends it: it starts disarmed, and ends at rest and disarmed.
+    `on_ready` is called once, with the socket's path, when it listens. `starts_bus`: start
+    motord-bus if the robot file needs it; False: another program does that.
 
-    Raises ConfigRefused, ProfileError and LookupError for what the robot file requires and is
-    missing, PageInUse and SocketInUse where such a daemon runs already, OSError for other failures.
-    """
+    Raises ConfigRefused, ProfileError and LookupError if something is missing that the robot file
+    requires, PageInUse and SocketInUse if such a daemon runs already, OSError for other
+    failures."""
     profiles, notifier, health = robot.profiles, Notifier(), Health()
     specs = line_specs(robot, profiles)
     name, path = robot.robot.name, path or socket_path(robot.robot.name)
@@ -128,7 +129,7 @@ async def run(
 async def _shut_down(
     operation: Operation, force: asyncio.Event, notifier: Notifier, server: asyncio.Task[None]
 ) -> list[str]:
-    """Nothing is answered any more; the rest is procedures.shut_down."""
+    """Stop answering the local socket, then shut the robot down (procedures.shut_down)."""
     _log.info("ending: the robot comes to rest first")
     notifier.stopping()
     server.cancel()
@@ -138,7 +139,7 @@ async def _shut_down(
 
 @contextlib.contextmanager
 def _recent_log() -> Iterator[RecentLog]:
-    """Attached to the root logger."""
+    """Attach a log of the newest records to the root logger."""
     handler = RecentLog()
     logging.getLogger().addHandler(handler)
     try:
@@ -149,7 +150,7 @@ def _recent_log() -> Iterator[RecentLog]:
 
 @contextlib.contextmanager
 def _signals() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
-    """Set by the first signal to end, and by the second."""
+    """Yield two events: the first signal to end sets the first one, the next signal the second."""
     loop = asyncio.get_running_loop()
     end, force = asyncio.Event(), asyncio.Event()
     numbers = (
@@ -171,7 +172,7 @@ def _signals() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
 
 
 def _say_hello(operation: Operation, path: Path) -> None:
-    """Once: what runs, where it listens, and what the kernel did not grant."""
+    """Log once what runs, where it listens, and what the kernel did not grant."""
     status = operation.loop.status()
     _log.info(
         "%s: loop at %g Hz, %s, socket %s",
@@ -185,7 +186,7 @@ def _say_hello(operation: Operation, path: Path) -> None:
 
 
 async def _watch(operation: Operation, feeds: Mapping[str, SnapshotFeed]) -> None:
-    """Whenever the loop has news: the machine first, the publishers after it."""
+    """Follow each new state of the loop: the machine first, the publishers after it."""
     woken = asyncio.Event()
 
     def wake() -> None:
@@ -206,7 +207,7 @@ async def _watch(operation: Operation, feeds: Mapping[str, SnapshotFeed]) -> Non
 
 
 async def _beat(operation: Operation) -> None:
-    """The heart that the core listens to: it stops when asyncio does."""
+    """Send the heartbeat that the core watches: it stops when asyncio does."""
     timeout_s = operation.robot.safety.heartbeat_timeout_s
     while True:
         operation.beat()
@@ -214,7 +215,7 @@ async def _beat(operation: Operation) -> None:
 
 
 async def _watch_health(operation: Operation, health: Health, notifier: Notifier) -> None:
-    """Feeds the supervisor's watchdog as long as loop, lines and (by this very task) asyncio
+    """Feed the supervisor's watchdog as long as loop, lines and (by this very task) asyncio
     move."""
     period_s = min(HEALTH_PERIOD_S, (notifier.watchdog_s or 2.0) / 4.0)
     pin_errno = 0
@@ -238,7 +239,7 @@ def _hearts(operation: Operation) -> list[Heart]:
 
 
 def _line_heart(line: Line) -> Heart:
-    """A line whose port is missing does not cycle, which its state shows."""
+    """Return the heart of a line. A line whose port is missing does not cycle, and is excused."""
     return Heart(
         name=f"line {line.spec.name}",
         count=line.stats().cycles,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the battery's measurement, again and again, and acts on it."""
+"""Task that reads the battery's measurement, again and again, and acts on it."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from motord_hal.realtime.exchange import now_ns
 
 PERIOD_S = 0.5
 REGISTER_WITHIN_S = 1.0
-"""For one register of a drive to be read."""
+"""Deadline for one register of a drive to be read."""
 READ_WITHIN_S = 4.0
-"""The kernel gives up on an I2C bus that is held after a second and some tries."""
+"""Deadline for the chip: the kernel gives up on an I2C bus that is held after a second and some
+tries."""
 
 _log = logging.getLogger(__name__)
 
 
 async def watch_battery(operation: Operation) -> None:
-    """Until cancelled. Without [battery] there is nothing to do."""
+    """Watch the battery until cancelled. Without [battery], return at once."""
     section = operation.robot.battery
     if section is None:
         return
@@ -61,7 +62,7 @@ def _take(operation: Operation, measure: Measure | None) -> None:
 
 
 class _Readings:
-    """What the drives' feedback says, and the registers that the section names, read now."""
+    """Measurements from the drives' feedback and from the registers that the section names."""
 
     def __init__(self, operation: Operation, section: DrivesBattery) -> None:
         self._operation = operation
@@ -70,7 +71,8 @@ class _Readings:
         self._reported: dict[str, str] = {}
 
     async def measure(self) -> Measure:
-        """A drive that is silent is not asked: it would only be waited for."""
+        """Return a measurement. Registers of a silent drive are not read: this would only wait for
+        it."""
         readings = {}
         for key, where in self._section.readings.items():
             joint = where.partition(".")[0]
@@ -79,7 +81,7 @@ class _Readings:
         return of_drives(self._section, self._joints, self._operation.snapshot, readings)
 
     async def _read(self, where: str) -> float:
-        """NaN where it cannot be read now; a failure is logged once."""
+        """Return the register's value; NaN: it cannot be read now. A failure is logged once."""
         joint, _, register = where.partition(".")
         problem = ""
         try:
@@ -101,7 +103,8 @@ class _Readings:
 
 
 class _Chip:
-    """Opened at the first reading, and again after each failure. A failure is logged once."""
+    """The power monitor: opened at the first reading, and again after each failure. A failure is
+    logged once."""
 
     def __init__(self, section: InaBattery) -> None:
         self._section = section
@@ -110,7 +113,7 @@ class _Chip:
         self._in_progress: asyncio.Future[Power] | None = None
 
     async def measure(self) -> Measure | None:
-        """None: it cannot be had now."""
+        """Return a measurement; None: the chip cannot be read now."""
         if self._in_progress is None:
             # a thread: a device that holds the I2C bus blocks for seconds; the robot must not wait
             self._in_progress = asyncio.get_running_loop().run_in_executor(None, self._read)
@@ -151,7 +154,7 @@ class _Chip:
             _log.warning("battery: %s", error, extra=about(event="battery_sensor"))
 
     def close(self) -> None:
-        """Unless a thread is in it still: then the process's end closes it."""
+        """Close the chip, unless a thread still uses it: then the end of the process closes it."""
         if self._open is not None and self._in_progress is None:
             self._open.close()
             self._open = None

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps the second process alive, and at arm's length: started by exec, watched by a pipe, ended by
-force when it is silent. Whatever it does costs the daemon no more than a line of the log."""
+"""Supervisor of the second process: starts it by exec, watches it by a pipe, ends it by force when
+it is silent, and starts it again. Whatever it does costs the daemon no more than a line of the
+log."""
 
 from __future__ import annotations
 
@@ -23,24 +24,24 @@ from motord.config import Robot
 from motord_hal.base.clock import within
 
 SILENT_S = 10.0
-"""It sends a heartbeat every second."""
+"""Longest silence after the first heartbeat; the process sends one every second."""
 START_WITHIN_S = 60.0
-"""Until its first heartbeat: a small computer that is busy starting takes long, and a process that
-is ended before it is ready would start again for ever."""
+"""Time for the first heartbeat: a small computer that is busy starting takes long, and a process
+that is ended before it is ready would start again for ever."""
 READ_BYTES, READ_EVERY_S = 4096, 0.02
-"""How much of its output is read at a time, and how often: a flooded pipe costs no more."""
+"""How much of its output is read at a time, and how often, so that a flooded pipe costs no more."""
 BEAT_BYTES_MAX = 65536
 BEATS_A_READ_MAX = 8
 END_WITHIN_S = 2.0
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
 WELL_AFTER_S = 60.0
-"""A process that has lived for this long may come back at once."""
+"""A process that has run for this long is started again after AGAIN_MIN_S."""
 
 _log = logging.getLogger(__name__)
 
 
 class BusSupervisor:
-    """The second process of one robot."""
+    """Supervisor of the second process of one robot."""
 
     def __init__(self, robot: Robot, path: Path) -> None:
         """`path`: the local socket."""
@@ -57,11 +58,12 @@ class BusSupervisor:
         self._voice = RateLimitedLog(_log)
 
     def report(self) -> dict[str, Any]:
-        """For `status`: process number (None: it does not run), restarts, and its own figures."""
+        """Return its part of `status`: process number (None: not running), restarts, its own
+        figures."""
         return {**self._figures, "pid": self._pid, "restarts": self._restarts}
 
     async def run(self) -> None:
-        """Until cancelled; then it is ended."""
+        """Keep the process running until cancelled; then end it."""
         with _without_a_thread():
             while True:
                 began_s = time.monotonic()
@@ -81,7 +83,7 @@ class BusSupervisor:
                 self._again_s = min(2.0 * self._again_s, AGAIN_MAX_S)
 
     async def _live(self) -> str:
-        """One life of it; returns how it ended."""
+        """Run the process once, and return how it ended."""
         async with self._started() as (process, output):
             _log.info("motord-bus runs as process %d", process.pid)
             try:
@@ -95,7 +97,8 @@ class BusSupervisor:
 
     @contextlib.asynccontextmanager
     async def _started(self) -> AsyncIterator[tuple[Process, asyncio.StreamReader]]:
-        """The process, and its output. Its own session keeps the terminal's signals from it."""
+        """Start the process; yield it and its output. A session of its own keeps the terminal's
+        signals from it."""
         async with _pipe() as (output, write_end):
             try:
                 with _in_memory(self._checked) as fd:
@@ -112,7 +115,7 @@ class BusSupervisor:
                 await _end(process)
 
     async def _listen(self, output: asyncio.StreamReader) -> None:
-        """Until its end. Raises TimeoutError when no valid figures come for this long."""
+        """Read the output to its end. Raises TimeoutError when no valid figures come in time."""
         loop, rest = asyncio.get_running_loop(), b""
         async with within(START_WITHIN_S) as silence:
             while chunk := await output.read(READ_BYTES):
@@ -123,7 +126,7 @@ class BusSupervisor:
                 await asyncio.sleep(READ_EVERY_S)
 
     def _receive(self, lines: list[bytes]) -> bool:
-        """Keep the newest figures among them; False: there are none."""
+        """Keep the newest figures among the lines; return whether there are any."""
         for line in reversed(lines):
             try:
                 self._figures = _figures(line)
@@ -135,7 +138,8 @@ class BusSupervisor:
 
 
 def _figures(line: bytes) -> dict[str, Any]:
-    """Raises ValueError and RecursionError for what could not be passed on as it is."""
+    """Return the figures in a line. Raises ValueError or RecursionError if they could not be passed
+    on as they are."""
     figures = json.loads(line)
     if not isinstance(figures, dict):
         raise ValueError("no object")
@@ -145,7 +149,7 @@ def _figures(line: bytes) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _in_memory(content: bytes) -> Iterator[int]:
-    """A file that only a child finds, at its beginning."""
+    """Yield a file in memory with this content, at its beginning. Only a child can open it."""
     with os.fdopen(os.memfd_create("robot"), "r+b") as file:
         file.write(content)
         file.seek(0)
@@ -154,8 +158,9 @@ def _in_memory(content: bytes) -> Iterator[int]:
 
 @contextlib.asynccontextmanager
 async def _pipe() -> AsyncIterator[tuple[asyncio.StreamReader, int]]:
-    """To read from, and the end to write to, which is the caller's. asyncio's own pipe of a child
-    has to be read to its end before the child counts as gone: a flood would never be read out."""
+    """Yield the end of a pipe to read from, and the end to write to, which the caller closes.
+    asyncio's own pipe of a child has to be read to its end before the child counts as gone: a flood
+    would never be read out."""
     reading, writing = os.pipe()
     output = asyncio.StreamReader(READ_BYTES)
     transport, _ = await asyncio.get_running_loop().connect_read_pipe(
@@ -169,8 +174,9 @@ async def _pipe() -> AsyncIterator[tuple[asyncio.StreamReader, int]]:
 
 @contextlib.contextmanager
 def _without_a_thread() -> Iterator[None]:
-    """Until Python 3.11 asyncio waits for each child in a thread, whose whole stack of 8 MB the
-    loop's mlockall would pin; later ones use a pidfd by themselves (Linux 5.3)."""
+    """Wait for children without a thread. Until Python 3.11 asyncio waits for each child in a
+    thread, whose whole stack of 8 MB the loop's mlockall would pin; later versions use a pidfd by
+    themselves (Linux 5.3)."""
     watcher = None
     if sys.version_info < (3, 12):
         with contextlib.suppress(OSError):
@@ -185,14 +191,14 @@ def _without_a_thread() -> Iterator[None]:
     try:
         yield
     finally:
-        policy.set_child_watcher(asyncio.ThreadedChildWatcher())  # the other was for this loop
+        policy.set_child_watcher(asyncio.ThreadedChildWatcher())  # the pidfd one was for this loop
 
 
 async def _end(process: Process) -> None:
-    """It ends when its standard input does; by force if it does not. The wait is short."""
+    """End the process: close its standard input, and kill it if it goes on. The wait is short."""
     if process.returncode is not None:
         return
-    assert process.stdin is not None  # it was asked for
+    assert process.stdin is not None  # made by stdin=PIPE
     process.stdin.close()
     try:
         async with within(END_WITHIN_S):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps the thread that reads the inertial sensor alive, and logs what changes."""
+"""Task that keeps the thread running that reads the inertial sensor, and logs what changes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from motord_hal.realtime.exchange import Exchange
 REOPEN_FIRST_S = 0.2
 REOPEN_LIMIT_S = 5.0
 FIRST_LOOK_S = 2.0
-"""A sensor, or a board, has been opened and set up by then."""
+"""Time by which a sensor, or a board, has been opened and set up."""
 LOOK_EVERY_S = 0.2
 
 _log = logging.getLogger(__name__)
@@ -40,7 +40,8 @@ _TEXTS = {
 
 
 async def watch_imu(operation: Operation) -> None:
-    """Until cancelled. Without [imu] there is nothing to do; a board's is read by its line."""
+    """Read and watch the sensor until cancelled. Without [imu], return at once; a board's sensor is
+    read by its line."""
     if operation.robot.imu is None:
         return
     async with asyncio.TaskGroup() as tasks:
@@ -50,7 +51,7 @@ async def watch_imu(operation: Operation) -> None:
 
 
 async def _say(operation: Operation) -> None:
-    """Each change of state, once."""
+    """Log each change of state once."""
     state: str | None = ""
     await asyncio.sleep(FIRST_LOOK_S)
     while True:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the local socket offers: the table of docs/architecture.md."""
+"""Methods of the local socket: the table of docs/architecture.md."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from motord.local_socket.server import INVALID_PARAMS, Caller, Method, Refused, 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OwnerParams(Params):
-    """The owner of a lease."""
+    """Parameter for the owner of a lease."""
 
     owner: str = text(64, r"[\w.:/-]+", default="socket")
 
@@ -84,7 +84,7 @@ def methods(
     recent_log: RecentLog,
     tracing: Tracing,
 ) -> dict[str, Method]:
-    """By name. The first six only look."""
+    """Return the methods by name. The first six only read."""
     return {
         "log": Method(lambda _, params: recent_log.after(params.after), LogParams, commands=False),
         "status": _looking(lambda: report.status(operation, health, feeds, bus)),
@@ -138,7 +138,8 @@ async def _estop(operation: Operation, caller: Caller, params: EstopParams) -> d
 
 
 def _input(operation: Operation) -> SocketInput:
-    """How the local socket commands. Raises Refused where the robot file has switched it off."""
+    """Return the settings for commands from the local socket. Raises Refused if the robot file has
+    switched them off."""
     section = operation.robot.local_input
     if not section.enabled:
         raise Refused(
@@ -177,7 +178,7 @@ async def _drive_joints(
 
 
 def _source(operation: Operation, params: LeaseParams) -> tuple[str, int, float]:
-    """Owner, priority and lease_s."""
+    """Return owner, priority and lease_s."""
     section = _input(operation)
     return (
         params.owner,
@@ -198,8 +199,8 @@ def _in_command(operation: Operation, lease: Lease) -> dict[str, Any]:
 def _lease(
     operation: Operation, command_sockets: CommandSockets, caller: Caller, params: LeaseParams
 ) -> dict[str, Any]:
-    """The right to command by datagrams, for as long as this connection lasts. An owner that is
-    named as an input of the second process gets what that section gives."""
+    """Make a lease for commands by datagrams, which lasts as long as this connection. An owner with
+    the name of an input of the second process gets what that section gives."""
     section = command_sockets.inputs.get(params.owner, command_sockets.section)
     if section is None:
         raise Refused('the robot file has no [input.*] of kind = "rt": no commands as datagrams')
@@ -234,7 +235,8 @@ def _release(operation: Operation, caller: Caller, params: OwnerParams) -> dict[
 
 
 async def _get(operation: Operation, names: Sequence[str]) -> dict[str, float | None]:
-    """Without a name: all limits and gains; drives are asked only for what is named."""
+    """Return values by name; without a name, all limits and gains. Drives are read only if their
+    registers are named."""
     robot, loops, own = (
         operation.robot,
         operation.in_force.speed_loops,
@@ -254,7 +256,7 @@ async def _get(operation: Operation, names: Sequence[str]) -> dict[str, float | 
 
 
 def _by_kind(names: Sequence[str]) -> tuple[list[str], ...]:
-    """Those of drives, of speed loops, of joints without a base, and all others."""
+    """Return the names of drives, of speed loops, of joints without a base, and all others."""
     kinds: tuple[list[str], ...] = ([], [], [], [])
     for name in names:
         if name.startswith(drive_parameters.PREFIX):
@@ -267,9 +269,9 @@ def _by_kind(names: Sequence[str]) -> tuple[list[str], ...]:
 
 
 async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float | None]:
-    """Limits and gains all or none; or registers of drives, one after the other."""
+    """Set limits and gains, all or none; or registers of drives, one after the other."""
     for name, value in wanted.items():
-        if isinstance(value, int) and abs(value) > sys.float_info.max:  # it may have any size
+        if isinstance(value, int) and abs(value) > sys.float_info.max:  # JSON sets no bound
             raise RpcError(f"{name}: is too large a number", INVALID_PARAMS)
     of_drives, gains, of_joints, limits = (
         {name: wanted[name] for name in names} for names in _by_kind(list(wanted))

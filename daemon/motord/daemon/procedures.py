@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What takes its time because drives and wheels do: arm, disarm, stop, reset, the shutdown.
+"""Procedures that take time because drives and wheels do: arm, disarm, stop, reset, shutdown.
 
-Each ends well or leaves the robot with no more power than it had; `Refused` says why. One at a
-time, but for stop and the emergency stop, which wait for nothing.
-"""
+Each succeeds or leaves the robot with no more power than it had; `Refused` gives the reason. One
+runs at a time, except stop and the emergency stop, which wait for no other."""
 
 from __future__ import annotations
 
@@ -20,9 +19,10 @@ from motord_hal.base.errors import HalError
 from motord_hal.fieldbus.ports import Line
 
 LINES_WITHIN_S = 4.0
-"""For all drives of a line to arm, to disarm, or to clear their faults."""
+"""Deadline for all drives of a line to arm, to disarm, or to clear their faults."""
 CORE_WITHIN_S = 1.0
-"""For the core to follow; the slowest loop ticks every 0.1 s, a line's feedback may take longer."""
+"""Deadline for the core to follow; the slowest loop ticks every 0.1 s, a line's feedback may take
+longer."""
 RAMP_MARGIN_S = 1.0
 RAMP_MAX_S = 20.0
 SHUTDOWN_RAMP_MAX_S = 8.0
@@ -31,7 +31,8 @@ _log = logging.getLogger(__name__)
 
 
 async def arm(operation: Operation) -> State:
-    """Every drive enabled at zero speed and seen to be so, then the core; else none of them."""
+    """Enable every drive at zero speed, verify that, then arm the core. If any of it fails, take
+    the power off all drives and raise Refused."""
     if operation.check(Event.ARM) is operation.state:
         return operation.state
     async with _alone(operation):
@@ -59,7 +60,7 @@ async def _arm_core(operation: Operation) -> None:
 
 
 async def disarm(operation: Operation) -> State:
-    """Down the ramp, then the power off. Raises Refused where a drive did not confirm it."""
+    """Ramp down, then take the power off. Raises Refused if a drive did not confirm it."""
     async with operation.busy:
         problems = await _come_down(operation, RAMP_MAX_S, force=asyncio.Event())
         await _take_in_datagram(operation)
@@ -71,7 +72,7 @@ async def disarm(operation: Operation) -> State:
 
 
 async def disarm_on_request(operation: Operation) -> None:
-    """Until cancelled: the loop has received requests to disarm; take the power off for each."""
+    """Take the power off for each request to disarm that the loop has received, until cancelled."""
     while True:
         await operation.disarm_requested.wait()
         async with operation.busy:
@@ -85,7 +86,8 @@ async def disarm_on_request(operation: Operation) -> None:
 
 
 async def stop(operation: Operation) -> State:
-    """To rest, and armed still. Returns when it rests."""
+    """Bring the robot to rest, and keep it armed. Returns when it rests; raises Refused if it does
+    not."""
     operation.take(Event.STOP)
     deadline_s = ramp_s(operation, RAMP_MAX_S)
     await _take_in_datagram(operation)
@@ -95,8 +97,8 @@ async def stop(operation: Operation) -> State:
 
 
 async def estop(operation: Operation, pid: int, why: str) -> State:
-    """At once; returns when the core has latched it. `pid`: the calling process; `why`: may be
-    empty."""
+    """Stop at once; return when the core has latched the emergency stop. `pid`: the process that
+    requests it; `why`: its reason, which may be empty."""
     operation.estop(pid, why)
     if not await operation.until(lambda: "estop" in operation.snapshot.faults, CORE_WITHIN_S):
         raise Refused("the loop has not confirmed the emergency stop: cut the power by hand")
@@ -105,8 +107,9 @@ async def estop(operation: Operation, pid: int, why: str) -> State:
 
 
 async def _take_in_datagram(operation: Operation) -> None:
-    """Clients send a stop to the loop first (motord.api.stop_request), then to asyncio. The loop
-    reads it in its next tick: once that is taken in, it does not come again after the answer."""
+    """Wait for the loop's next tick, and follow its requests. Clients send a stop to the loop first
+    (motord.api.stop_request), then to asyncio: so the loop's copy takes no effect after the
+    answer."""
     asked_ns = now_ns()
     await operation.until(lambda: operation.snapshot.stamp_ns > asked_ns, CORE_WITHIN_S)
     operation.look()
@@ -140,13 +143,13 @@ async def reset(operation: Operation) -> State:
 
 
 def _no_other_estop(operation: Operation, estops: int) -> None:
-    """Each client that pressed it meanwhile learns that it holds."""
+    """Raise Refused if an emergency stop came during the reset: it has to stay latched."""
     if operation.estops != estops:
         raise Refused("not reset: an emergency stop came meanwhile")
 
 
 async def reset_odometry(operation: Operation) -> State:
-    """The pose is the origin when it returns."""
+    """Set the pose to the origin; return when it is there."""
     epoch = operation.snapshot.odometry_epoch
     operation.ask_odometry_reset()
     if not await operation.until(lambda: operation.snapshot.odometry_epoch != epoch, CORE_WITHIN_S):
@@ -155,9 +158,9 @@ async def reset_odometry(operation: Operation) -> State:
 
 
 async def shut_down(operation: Operation, force: asyncio.Event) -> list[str]:
-    """At rest, power off, OFF on the state page. Returns what is not known to be so, in words.
-    `force` leaves the ramp out: then the lines brake as they end. A procedure that is in progress
-    must have been cancelled before."""
+    """Bring the robot to rest, take the power off, and show OFF on the state page. Returns texts on
+    what is not known to be done. `force` leaves the ramp out: then the lines brake as they end.
+    Before the call, cancel a procedure that is in progress."""
     async with operation.busy:
         problems = await _come_down(operation, SHUTDOWN_RAMP_MAX_S, force)
     for problem in problems:
@@ -177,7 +180,8 @@ async def _alone(operation: Operation) -> AsyncIterator[None]:
 
 
 async def _come_down(operation: Operation, ramp_max_s: float, force: asyncio.Event) -> list[str]:
-    """Ramp, disarm the core, then the drives. Returns what went wrong; the state is true anyway."""
+    """Ramp down, disarm the core, then the drives. Returns texts on what went wrong; the state is
+    right in any case."""
     operation.disarming = True
     try:
         operation.take(Event.DISARM)
@@ -200,8 +204,8 @@ async def _come_down(operation: Operation, ramp_max_s: float, force: asyncio.Eve
 
 
 def ramp_s(operation: Operation, most_s: float) -> float:
-    """Within this a robot that brakes as it should is at rest: v / deceleration, twice
-    deceleration / jerk for both ends of the ramp, and a margin for the wheels to follow."""
+    """Return the time within which a robot that brakes as it should is at rest: v / deceleration,
+    twice deceleration / jerk for both ends of the ramp, and a margin for the wheels to follow."""
     snapshot, limits = operation.snapshot, operation.in_force.limits
     if operation.in_force.joint_limits:
         rows = zip(operation.in_force.joint_limits.values(), snapshot.joints, strict=True)
@@ -222,7 +226,7 @@ def ramp_s(operation: Operation, most_s: float) -> float:
 
 
 async def _power_off(operation: Operation) -> list[str]:
-    """All lines at once. Returns what went wrong, in words."""
+    """Disarm all lines at once. Returns texts on what went wrong."""
     problems: list[str] = []
     async with asyncio.TaskGroup() as tasks:
         for line in operation.lines:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon reports about itself: `status` and `latency` of the local socket."""
+"""Reports of the daemon about itself: `status` and `latency` of the local socket."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def status(
     feeds: Mapping[str, SnapshotFeed],
     bus: BusSupervisor | None = None,
 ) -> dict[str, Any]:
-    """Everything that is known now, ready for JSON."""
+    """Return everything that is known now, ready for JSON."""
     snapshot = operation.snapshot.to_json()
     return {
         "robot": operation.robot.robot.name,
@@ -73,7 +73,8 @@ def status(
 
 
 def description(operation: Operation) -> dict[str, Any]:
-    """What the robot file says of the robot, for programs that command it and do not have it."""
+    """Return what the robot file contains about the robot, for programs that command it and do not
+    have the file."""
     robot = operation.robot
     return {
         "robot": robot.robot.name,
@@ -104,8 +105,8 @@ def description(operation: Operation) -> dict[str, Any]:
 
 
 def modules(robot: Robot) -> list[dict[str, Any]]:
-    """The wheels of a base with steered wheels, each with the joints that move it; empty: a joint
-    that it does not have. None of another base."""
+    """Return the wheels of a base with steered wheels, each with the names of the joints that move
+    it (empty: it has no such joint). The list is empty for another base."""
     found = []
     for module in wheel_modules(robot.base, robot.joint):
         steering, traction = (one[0] if one else "" for one in (module.steering, module.traction))
@@ -119,9 +120,9 @@ def modules(robot: Robot) -> list[dict[str, Any]]:
 
 
 def latency(loop: Loop) -> dict[str, Any]:
-    """The loop's histograms since its start: percentiles in microseconds, how many samples they
-    hold, and each bucket that holds some as low_ns, high_ns, samples. They only grow: what two
-    answers differ by came between them."""
+    """Return the loop's histograms since its start: percentiles in microseconds, numbers of
+    samples, and each bucket that holds samples as low_ns, high_ns, samples. They only grow: the
+    difference of two answers is what came between them."""
     found = {kind: loop.percentiles(kind) for kind in HistogramKind}
     return {
         "lateness_us": _percentiles(found[HistogramKind.LATENESS], 1e3),
@@ -136,12 +137,13 @@ def latency(loop: Loop) -> dict[str, Any]:
 
 
 def _age_s(stamp_ns: int) -> float | None:
-    """None: never."""
+    """Return the age of a stamp; None: the stamp is 0, it never happened."""
     return (now_ns() - stamp_ns) / 1e9 if stamp_ns else None
 
 
 def _limited(operation: Operation) -> dict[str, dict[str, Any]]:
-    """Each reason: for how long, and the joint or joints that it comes from where there are."""
+    """Return for each reason how long it has applied, and the joint or joints that it comes
+    from."""
     snapshot, joints = operation.snapshot, list(operation.robot.joint)
     found: dict[str, dict[str, Any]] = {
         reason: {"for_s": (snapshot.stamp_ns - since_ns) / 1e9}
@@ -163,7 +165,7 @@ def _limited(operation: Operation) -> dict[str, dict[str, Any]]:
 
 
 def _imu(snapshot: Snapshot, shown: dict[str, Any] | None) -> dict[str, Any] | None:
-    """None: there is none, or it was never received."""
+    """Return the report about the imu; None: the robot has no imu, or no sample was received."""
     if snapshot.imu is None or shown is None:
         return None
     return shown | {"age_s": _age_s(snapshot.imu.stamp_ns)}
@@ -229,7 +231,7 @@ def _line(line: Line, operation: Operation) -> dict[str, Any]:
 
 
 def _commands(report: CommandReport) -> dict[str, Any]:
-    """How many were taken, and how many refused for which reason."""
+    """Return how many commands were accepted, and how many were refused for which reason."""
     refused = {kind.name.lower(): count for kind, count in report.refused.items()}
     return {
         "accepted": report.accepted,
@@ -240,7 +242,7 @@ def _commands(report: CommandReport) -> dict[str, Any]:
 
 
 def _leases(operation: Operation) -> list[dict[str, Any]]:
-    """The source in command stands first, and why; the others wait for it."""
+    """Return the living leases, the source in command first, each with why it commands or waits."""
     now = now_ns()
     living = operation.leases.fresh()
     return [
@@ -263,14 +265,14 @@ def _leases(operation: Operation) -> list[dict[str, Any]]:
 
 
 def _named(operation: Operation, lease: Lease) -> dict[str, float]:
-    """What it requests of joints without a base: rad of one that takes positions, rad/s of another
-    one."""
+    """Return what a lease requests of joints without a base, by name: rad of a joint that takes
+    positions, rad/s of another one."""
     names = list(operation.robot.joint)
     return {names[place]: value for place, value in lease.joint_values_u.items()}
 
 
 def _why(lease: Lease, living: Sequence[Lease]) -> str:
-    """Why it is in command, or is not."""
+    """Return why the lease is in command, or why it is not."""
     first, *others = living
     if lease is not first:
         which = "a higher priority" if first.priority > lease.priority else "come first"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file as it was when the daemon started, kept beside its socket: after a crash motord
+"""The robot file as it was when the daemon started, kept beside its socket. After a crash, motord
 stop-all stops the drives that the daemon drove, however the file was changed since."""
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from motord_hal.base import bounded
 
 KEPT_BYTES_MAX = 8 * bounded.TOML_BYTES_MAX
 MODE = 0o600
-"""There may be passwords of buses in it."""
+"""The file may contain passwords of buses."""
 
 _log = logging.getLogger(__name__)
 
@@ -29,7 +29,7 @@ class RunningFile:
     """The robot file and options that a daemon uses, or has used."""
 
     file: str
-    """The robot file's whole path."""
+    """Absolute path of the robot file."""
     text: str
     overrides: tuple[str, ...]
     """The --set options."""
@@ -37,8 +37,8 @@ class RunningFile:
 
 @contextlib.contextmanager
 def kept(robot: Robot, folder: Path) -> Iterator[None]:
-    """Kept until the daemon ends in good order. Where it cannot be kept, that is logged and the
-    robot runs without it."""
+    """Keep the robot file until the daemon ends in good order. If that fails, log it and go on
+    without."""
     ours = RunningFile(str(robot.path.absolute()), robot.text, robot.overrides)
     place = folder / _name(robot.path)
     try:
@@ -50,8 +50,8 @@ def kept(robot: Robot, folder: Path) -> Iterator[None]:
 
 
 def find(robot_file: Path, folders: Sequence[Path] | None = None) -> RunningFile | None:
-    """The robot file that the last daemon on this file used, if that daemon did not end in good
-    order. None: no such file, or it is not ours to read."""
+    """Return the robot file that the last daemon on this file used, if that daemon did not end in
+    good order. None: there is no such file, or it does not belong to a trusted user."""
     for folder in socket_folders() if folders is None else folders:
         place = folder / _name(robot_file)
         with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
@@ -62,20 +62,21 @@ def find(robot_file: Path, folders: Sequence[Path] | None = None) -> RunningFile
 
 
 def forget(robot_file: Path) -> None:
-    """Its drives have been stopped."""
+    """Remove the kept file, after the drives have been stopped."""
     for folder in socket_folders():
         with contextlib.suppress(OSError):
             (folder / _name(robot_file)).unlink()
 
 
 def _name(robot_file: Path) -> str:
-    """Named after the file, not after the robot, whose name is in the file."""
+    """Return the name of the kept file. It is made from the robot file's path, not from the name of
+    the robot, which is in the file."""
     path = os.fsencode(robot_file.absolute())
     return f"{robot_file.stem}.{hashlib.sha256(path).hexdigest()[:16]}.running"
 
 
 def _write(place: Path, text: str) -> None:
-    """At once, or not at all."""
+    """Write the file as a whole, or not at all."""
     new = place.with_suffix(".new")
     new.unlink(missing_ok=True)
     with open(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens the pins of safety, for the loop to read and write them itself."""
+"""Opening of the safety pins, which the loop itself reads and writes."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from motord.config import Robot
 from motord.realtime.types import GuardConfig
 
 LINE_CYCLES = 5
-"""How many cycles a line with enabled drives may miss."""
+"""Cycles that a line with enabled drives may miss."""
 
 
 @contextlib.contextmanager
 def open_guard(robot: Robot, cycle_hz: Mapping[str, float]) -> Iterator[GuardConfig | None]:
-    """What the loop gets, None where the robot file has no such pins. `cycle_hz` of each
-    line by its name. Raises PortError."""
+    """Open the pins and yield the loop's settings for them; None: the robot file has no such pins.
+    `cycle_hz`: cycle rate of each line by its name. Raises PortError."""
     safety = robot.safety
     if safety.estop is None and safety.watchdog is None:
         yield None
         return
-    # only here: a robot without pins goes without libgpiod
+    # imported here: a robot without pins needs no libgpiod
     from gpiod.line import Bias
 
     from motord_hal.gpio.lines import Wanted, request_edges, request_outputs
@@ -64,6 +64,7 @@ def open_guard(robot: Robot, cycle_hz: Mapping[str, float]) -> Iterator[GuardCon
 
 
 def line_timeouts_ns(robot: Robot, cycle_hz: Mapping[str, float]) -> list[int]:
-    """By the lines' order. As long as a wheel may be silent, or some cycles where they are slow."""
+    """Return how long each line may be silent, in the lines' order: as long as a wheel may be
+    silent, or some cycles where they are slow."""
     silent_s = robot.safety.feedback_timeout_s
     return [round(max(silent_s, LINE_CYCLES / cycle_hz[name]) * 1e9) for name in robot.line]

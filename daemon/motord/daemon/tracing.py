@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The method `trace` of the local socket. A line is traced for as long as a program asks again."""
+"""The method `trace` of the local socket. A line is traced until KEPT_ON_S after the last call."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from motord_hal.fieldbus.ports import Line
 
 KEPT_ON_S = 2.0
 ENTRIES_MAX = 128
-"""In one answer."""
+"""Most entries in one answer."""
 
 
 class Tracing:
-    """Of all lines of the daemon."""
+    """Tracing of all lines of the daemon."""
 
     def __init__(self, lines: Sequence[Line]) -> None:
         self._lines = {line.spec.name: line for line in lines}
         self._off: dict[str, asyncio.TimerHandle] = {}
 
     def read(self, name: str, after: int | None) -> dict[str, Any]:
-        """Entries after that number; None: from now on. Raises RpcError."""
+        """Return entries with numbers above `after`; None: from now on. Raises RpcError."""
         line = self._lines.get(name)
         if line is None:
             known = ", ".join(self._lines)

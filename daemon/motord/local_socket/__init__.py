@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The local socket: who may call, what can be called, and the answers."""
+"""The local socket: which processes may call, what can be called, and the answers."""

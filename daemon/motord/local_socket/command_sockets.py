@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The datagram sockets on which commands come in from outside, for the loop to take them itself.
+"""The datagram sockets for commands from other programs, which the loop itself reads.
 
-There are none unless the robot file has an `[input.*]` of kind "rt", or one of the second process.
-"""
+A robot has them only if its file has an `[input.*]` of kind "rt", or one of the second process."""
 
 from __future__ import annotations
 
@@ -25,10 +24,11 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandSockets:
-    """Where commands may be sent to. `fds` stay open as long as the daemon runs."""
+    """Sockets for commands, and what they may request. `fds` stay open as long as the daemon
+    runs."""
 
     section: RtInput | None = None
-    """What every client that may command may request."""
+    """What a client that may command may request; None: there is no such section."""
     inputs: Mapping[str, BusInput] = field(default_factory=dict)
     """What the second process may request, by the names of its inputs."""
     paths: tuple[Path, ...] = ()
@@ -38,20 +38,20 @@ class CommandSockets:
 
 
 def section_of(robot: Robot) -> RtInput | None:
-    """The robot file's section for commands as datagrams; None: the file has no such section."""
+    """Return the robot file's section for commands as datagrams; None: it has no such section."""
     return next((found for found in robot.input.values() if isinstance(found, RtInput)), None)
 
 
 def inputs_of(robot: Robot) -> dict[str, BusInput]:
-    """The inputs of the second process, by name."""
+    """Return the inputs of the second process, by name."""
     return {name: found for name, found in robot.input.items() if isinstance(found, BusInput)}
 
 
 @contextlib.contextmanager
 def open_stop_socket(robot: Robot, beside: Path) -> Iterator[int]:
-    """The socket on which the loop receives stop requests, and a link to the state page, by which
-    they are confirmed: NAME.stop.sock and NAME.page for a local socket NAME.sock. Raises OSError.
-    """
+    """Open the socket on which the loop receives stop requests, and make a link to the state page,
+    which confirms them: NAME.stop.sock and NAME.page for a local socket NAME.sock. Raises
+    OSError."""
     path, link = stop_socket(beside), page_link(beside)
     with contextlib.ExitStack() as cleanup:
         fd = _local(path, cleanup, credentials=True)
@@ -63,8 +63,9 @@ def open_stop_socket(robot: Robot, beside: Path) -> Iterator[int]:
 
 @contextlib.contextmanager
 def open_command_sockets(robot: Robot, beside: Path) -> Iterator[CommandSockets]:
-    """The sockets of this robot: NAME.cmd.N.sock beside its local socket, whose owner is ours
-    alone, and UDP on loopback where it is asked for. Raises OSError with the place."""
+    """Open the sockets of this robot: NAME.cmd.N.sock beside its local socket, which belongs to
+    this daemon alone, and UDP on loopback if a port is given. Raises OSError with the path or
+    address."""
     section, inputs = section_of(robot), inputs_of(robot)
     if section is None and not inputs:
         yield CommandSockets()
@@ -89,7 +90,7 @@ def _local(path: Path, sockets: contextlib.ExitStack, *, credentials: bool = Fal
     opened = sockets.enter_context(socket.socket(socket.AF_UNIX, kind))
     if credentials:
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
-    path.unlink(missing_ok=True)  # ours: the local socket beside it belongs to this daemon
+    path.unlink(missing_ok=True)  # the socket beside it belongs to this daemon, so this is ours
     # The file is made with this mode: a client that connects before the chmod could go on sending
     # after it.
     os.fchmod(opened.fileno(), SOCKET_MODE)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the local socket's methods: a dataclass for each method, whose fields say what they
-take. Python's own types and a few ranges: a library for this takes 6 MB of the daemon's memory.
-"""
+"""Parameters of the local socket's methods: a dataclass for each method, whose fields check their
+values. Python's own types and a few ranges suffice: a library for this takes 6 MB of the daemon's
+memory."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from dataclasses import MISSING, dataclass
 from typing import Any, TypeGuard
 
 Check = Callable[[Any], Any]
-"""From what the JSON says to the value. Raises ValueError: why not, in a few words."""
+"""Function from a JSON value to the parameter's value. Raises ValueError with the reason, in a few
+words."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Params:
-    """Parameters by name; this one takes none."""
+    """Parameters by name; this class takes none."""
 
 
 def _is_text(value: Any) -> TypeGuard[str]:
-    """Half a surrogate pair (RFC 8259, section 8.2) could not be logged or sent on."""
+    """Return whether it is a text that can be logged and sent on: half a surrogate pair (RFC 8259,
+    section 8.2) cannot."""
     try:
         return isinstance(value, str) and value.encode() is not None
     except UnicodeEncodeError:
@@ -36,7 +38,7 @@ def _taking(check: Check, default: Any) -> Any:
 def number(
     low: float = -math.inf, high: float = math.inf, *, whole: bool = False, default: Any = MISSING
 ) -> Any:
-    """A finite number within low..high. Where the default is None, null is taken too."""
+    """Declare a finite number within low..high. Where the default is None, null is taken too."""
     span = f" of {low:g} to {high:g}" if math.isfinite(low) and math.isfinite(high) else ""
 
     def check(value: Any) -> float | None:
@@ -51,7 +53,7 @@ def number(
 
 
 def text(chars_max: int, pattern: str = "", *, default: Any = MISSING) -> Any:
-    """A string of at most so many characters, which matches the pattern as a whole."""
+    """Declare a string of at most so many characters, which matches the pattern as a whole."""
     # the length is no part of the pattern: 64 times all letters of Unicode take 1.6 MB
     matches = re.compile(pattern or "(?s:.*)").fullmatch
 
@@ -66,7 +68,7 @@ def text(chars_max: int, pattern: str = "", *, default: Any = MISSING) -> Any:
 
 
 def names() -> Any:
-    """A list of strings; none by default."""
+    """Declare a list of strings; empty by default."""
 
     def check(value: Any) -> tuple[str, ...]:
         if not isinstance(value, list) or not all(map(_is_text, value)):
@@ -77,7 +79,7 @@ def names() -> Any:
 
 
 def values() -> Any:
-    """Finite numbers by name; None by default."""
+    """Declare finite numbers by name; None by default."""
     one = number().metadata["check"]
 
     def check(value: Any) -> dict[str, float]:
@@ -89,7 +91,7 @@ def values() -> Any:
 
 
 def checked(kind: type[Params], raw: Mapping[str, Any]) -> Params:
-    """The parameters. Raises ValueError with all that is wrong, in one line."""
+    """Return the parameters, checked. Raises ValueError with all that is wrong, in one line."""
     fields = {field.name: field for field in dataclasses.fields(kind)}
     problems = [f"{name}: there is no such parameter" for name in raw if name not in fields]
     values = {}

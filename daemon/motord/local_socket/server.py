@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The local socket: JSON-RPC 2.0, one object a line, on a Unix stream socket.
 
-A client is known by SO_PEERCRED: root, the daemon's own user and members of the socket's
-group may command, every other user may look. No client can do harm: lines, answers not yet read,
-calls in progress and connections are all bounded, and what is beyond is dropped.
-"""
+SO_PEERCRED identifies a client: root, the daemon's own user and members of the socket's group may
+command, every other user may only read. No client can do harm: lines, answers not yet read, calls
+in progress and connections are all bounded, and what is beyond a bound is dropped."""
 
 from __future__ import annotations
 
@@ -36,18 +35,18 @@ UNREAD_BYTES_MAX = 1 << 20
 CALLS_MAX = 4
 CONNECTIONS_MAX = 32
 CALLS_IN_ALL_MAX = 2 * CALLS_MAX * CONNECTIONS_MAX
-"""Of all connections, with those that ended while a call of theirs goes on."""
+"""Most calls of all connections, including those that ended while a call of theirs goes on."""
 SOCKET_MODE = 0o660
 _SO_PEERGROUPS = 59
 """include/uapi/asm-generic/socket.h, since Linux 4.13"""
 _GROUP_BYTES_MAX = 1024
-"""As much as Python's getsockopt takes: 256 groups."""
+"""Most bytes that Python's getsockopt takes: 256 groups."""
 
 _log = logging.getLogger(__name__)
 
 
 class RpcError(Exception):
-    """What goes back as a JSON-RPC error."""
+    """Error that goes back to the client as a JSON-RPC error."""
 
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message)
@@ -55,19 +54,19 @@ class RpcError(Exception):
 
 
 class Refused(RpcError):
-    """Understood and refused: the message says why and what to do."""
+    """A call that was understood and refused; the message gives the reason and what to do."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason, REFUSED)
 
 
 class SocketInUse(RuntimeError):
-    """A program listens there already."""
+    """The path is in use: a program listens there, or it is not a socket."""
 
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """The caller at the other end. `connection` is never given twice."""
+    """The process at the other end. `connection` is never given twice."""
 
     connection: int
     pid: int
@@ -77,21 +76,21 @@ class Caller:
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """`call` gives the result, or a coroutine that does; it may raise RpcError."""
+    """A method. `call` returns the result, or a coroutine that does; it may raise RpcError."""
 
     call: Callable[[Caller, Any], Any]
     params: type[Params] | None = Params
-    """None: any names, as a dictionary."""
+    """None: parameters with any names, as a dictionary."""
     commands: bool = True
-    """Only for callers that may command."""
+    """Whether it is only for callers that may command."""
     urgent: bool = False
-    """It is accepted however many calls are running."""
+    """Whether it is accepted however many calls are running."""
 
 
 # --------------------------------------------------------------------------------- the socket file
 def socket_path(robot: str, folders: Sequence[Path] = ()) -> Path:
-    """Where this robot's socket belongs: the first folder that can be had; none given: the usual
-    ones. Raises OSError."""
+    """Return the path of this robot's socket, in the first folder that can be used; none given: the
+    usual ones. Raises OSError."""
     system, *own = folders or socket_folders()
     if os.geteuid() == 0:
         with contextlib.suppress(OSError):
@@ -110,11 +109,11 @@ def socket_path(robot: str, folders: Sequence[Path] = ()) -> Path:
 
 @contextlib.contextmanager
 def listening(path: Path) -> Iterator[socket.socket]:
-    """A listening socket at `path`, removed afterwards. What a dead daemon left there is replaced.
+    """Open a listening socket at `path`, and remove it afterwards. A socket that a dead daemon left
+    there is replaced.
 
-    Raises SocketInUse where a program listens, or where something else than a socket is; OSError
-    for a path that cannot be used.
-    """
+    Raises SocketInUse if a program listens there, or if it is something else than a socket; OSError
+    for a path that cannot be used."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as listener:
         _clear_away(path)
         # The file is made with this mode: no other user connects before the chmod.
@@ -155,7 +154,7 @@ def _clear_away(path: Path) -> None:
 
 
 def _caller(connection: int, peer: socket.socket) -> Caller:
-    """Who is the caller, and may it command? The group is that of the socket file at this
+    """Identify the caller and whether it may command. The group is that of the socket file at this
     moment."""
     credentials = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
     pid, uid, gid = struct.unpack("3i", credentials)
@@ -176,9 +175,9 @@ async def serve(
     on_close: Callable[[int], None],
     stays: Callable[[int], bool] = lambda _: False,
 ) -> None:
-    """Accept and answer until cancelled. `on_close` gets the number of each connection that ends,
-    at once, whatever it is waiting for. `stays`: whether the connection of that number is never
-    dropped to make room; that must be so for fewer than CONNECTIONS_MAX."""
+    """Accept connections and answer until cancelled. `on_close` gets the number of each connection
+    that ends, at once, whatever it is waiting for. `stays`: whether the connection with this number
+    is never dropped to make room; this must be so for fewer than CONNECTIONS_MAX."""
     connections: dict[int, _Connection] = {}
     numbers = itertools.count(1)
 
@@ -211,13 +210,14 @@ async def _readable(listener: socket.socket) -> None:
 async def _accepted(
     listener: socket.socket, connections: Mapping[int, _Connection], stays: Callable[[int], bool]
 ) -> socket.socket | None:
-    """Not loop.sock_accept: cancelled in the wrong moment, it loses the connection."""
+    """Accept a connection; None: there was no connection to accept. This does not use
+    loop.sock_accept, which loses the connection if it is cancelled in the wrong moment."""
     for tried in (False, True):
         try:
             peer, _ = listener.accept()
         except BlockingIOError:
             return None
-        except OSError as error:  # out of file descriptors: the robot goes on without
+        except OSError as error:  # out of file descriptors: the robot goes on
             if not tried and error.errno == errno.EMFILE and _dropped_one(connections, stays):
                 await asyncio.sleep(0)  # its descriptor is closed
                 continue
@@ -230,14 +230,15 @@ async def _accepted(
 
 
 def _make_room(connections: Mapping[int, _Connection], stays: Callable[[int], bool]) -> None:
-    """A dropped connection stays here while a call of it goes on, and has no descriptor."""
+    """Drop silent connections until there is room for one. A dropped connection stays here while a
+    call of it goes on, and has no descriptor."""
     while sum(not one.dropped for one in connections.values()) >= CONNECTIONS_MAX:
         if not _dropped_one(connections, stays):
             return
 
 
 def _dropped_one(connections: Mapping[int, _Connection], stays: Callable[[int], bool]) -> bool:
-    """Drop the one that has been silent for longest. False: there is none that may be dropped."""
+    """Drop the connection that has been silent for longest. False: no connection may be dropped."""
     idle = [one for number, one in connections.items() if not one.dropped and not stays(number)]
     if idle:
         min(idle, key=lambda one: one.received_s).drop("room for another")
@@ -252,7 +253,7 @@ async def _attend(number: int, connections: dict[int, _Connection]) -> None:
 
 
 class _Connection:
-    """One peer: reads requests in order, answers each when it is done."""
+    """One connection: reads requests in order, answers each when it is done."""
 
     def __init__(
         self,
@@ -268,25 +269,25 @@ class _Connection:
         self._on_close = on_close
         self._is_full = is_full
         self.calls = 0
-        """That are running."""
+        """Number of its calls that are running."""
         self._writer: asyncio.StreamWriter | None = None
         self.received_s = asyncio.get_running_loop().time()
         self.dropped = False
 
     def drop(self, why: str) -> None:
-        """End it without waiting for anything."""
+        """End the connection without waiting for anything."""
         self.dropped = True
         _log.warning("connection of process %d dropped: %s", self._caller.pid, why)
         if self._writer is not None:
             self._writer.transport.abort()
 
     async def run(self) -> None:
-        """Until the peer ends."""
-        # cancelled in here, asyncio closes the peer
+        """Take requests until the peer ends the connection."""
+        # if cancelled here, asyncio closes the peer
         reader, self._writer = await asyncio.open_unix_connection(
             sock=self._peer, limit=LINE_BYTES_MAX
         )
-        if self.dropped:  # meanwhile
+        if self.dropped:  # dropped while it was opened
             self._writer.transport.abort()
         try:
             async with asyncio.TaskGroup() as calls:
@@ -301,7 +302,7 @@ class _Connection:
             self.close()
 
     def close(self) -> None:
-        """Does not wait for answers that the kernel has not taken."""
+        """Close the connection without waiting for answers that the kernel has not taken."""
         if self._writer is None:
             self._peer.close()
         elif self._writer.transport.get_write_buffer_size():
@@ -310,7 +311,7 @@ class _Connection:
             self._writer.close()
 
     async def _read(self, reader: asyncio.StreamReader) -> bytes | None:
-        """A line; None at the end, and after a line that is too long."""
+        """Return a line; None at the end, and after a line that is too long."""
         try:
             return await reader.readuntil(b"\n")
         except asyncio.LimitOverrunError:
@@ -320,7 +321,7 @@ class _Connection:
         return None
 
     def _take(self, line: bytes, calls: asyncio.TaskGroup) -> None:
-        """Answer one request; what has to wait becomes a task of its own."""
+        """Answer one request; a call that has to wait becomes a task of its own."""
         number: Any = None
         try:
             request = _request(line)
@@ -378,7 +379,7 @@ class _Connection:
         answer = {"jsonrpc": "2.0", "id": number, **content}
         try:
             reply = json.dumps(answer, allow_nan=False)
-        except ValueError as error:  # our own mistake, and no reason to let the robot go
+        except ValueError as error:  # our own mistake: the daemon goes on
             _log.exception("an answer to process %d", self._caller.pid)
             problem = {"code": INTERNAL_ERROR, "message": f"the answer is not JSON: {error}"}
             reply = json.dumps({"jsonrpc": "2.0", "id": number, "error": problem})
@@ -393,7 +394,7 @@ _NOBODY = object()
 
 
 def _request(line: bytes) -> dict[str, Any]:
-    """The request in a line, or RpcError."""
+    """Return the request in a line. Raises RpcError."""
     try:
         request = json.loads(line, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
@@ -414,5 +415,6 @@ def _no_constant(name: str) -> float:
 
 
 def json_number(value: float) -> float | None:
-    """None for NaN and infinity: JSON has neither, and a drive may report them."""
+    """Return the number; None for NaN and infinity: JSON has neither, and a drive may report
+    them."""
     return value if math.isfinite(value) else None

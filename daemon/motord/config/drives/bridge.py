@@ -12,7 +12,7 @@ _WORDS = {"low": (0.0, 0.0), "high": (1.0, 0.0), "duty": (0.0, 1.0), "inverse": 
 
 
 def bridge_of(table: MotorBridge, problems: Problems) -> Bridge:
-    """The bridge, with every problem that its parts have with each other."""
+    """Return the bridge; add every problem that its parts have with each other."""
     levels: dict[str, dict[str, tuple[float, float]]] = {}
     for mode in BRIDGE_MODES:
         for pin, level in getattr(table, mode).items():
@@ -35,8 +35,9 @@ def bridge_of(table: MotorBridge, problems: Problems) -> Bridge:
 
 
 def _check_alone(bridge: Bridge, problems: Problems) -> None:
-    """Two channels cannot be written at once, and a write can fail: of those that give no power
-    when they are low, none may count on another one to take its power back."""
+    """Check that a failed write gives no power. Two channels cannot be written at once, and a write
+    can fail: of the pins that give no power when they are low, only one may be above low in a
+    mode."""
     pins = [
         pin
         for pin, modes in bridge.levels.items()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the tables of a drive profile to a DriveProfile, in SI."""
+"""Builder of a DriveProfile, in SI units, from the tables of a drive profile."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ _SAYS_ITS_FRAMES = ("modbus-rtu", "roboclaw")
 
 
 def build(file: DriveFile, path: Path, problems: Problems) -> DriveProfile:
-    """The profile. What its protocol needs and the file lacks is a problem; a harmless value takes
-    its place."""
+    """Return the profile. If the file lacks what its protocol needs, add a problem and use a
+    harmless value."""
     return DriveProfile(
         name=file.name,
         title=file.title,
@@ -82,7 +82,7 @@ def build(file: DriveFile, path: Path, problems: Problems) -> DriveProfile:
 
 
 def _on_serial(file: DriveFile, problems: Problems) -> dict[str, Any]:
-    """How the drive is talked to on a serial line, and its registers."""
+    """Return the settings of a drive on a serial line, and its registers."""
     _check_absent(file, ("can", "frame", "signal", "object"), problems)
     if not file.registers:
         problems.add("register", "there is no register")
@@ -112,7 +112,7 @@ def _on_serial(file: DriveFile, problems: Problems) -> dict[str, Any]:
 
 
 def _on_can(file: DriveFile, problems: Problems) -> dict[str, Any]:
-    """The same of a drive on a CAN bus: its registers are signals."""
+    """Return the settings of a drive on a CAN bus; its registers are signals."""
     _check_absent(file, ("serial", "register"), problems)
     can = file.can
     if can is None:
@@ -151,7 +151,7 @@ def _on_can(file: DriveFile, problems: Problems) -> dict[str, Any]:
 
 
 def _check_absent(file: DriveFile, keys: Sequence[str], problems: Problems) -> None:
-    """Tables of another kind of line would not be used."""
+    """Report tables of another kind of line: they would not be used."""
     given = {DriveFile.model_fields[name].alias or name for name in file.model_fields_set}
     for key in keys:
         if key in given:
@@ -206,13 +206,14 @@ def _channel(table: MotorChannel) -> Channel:
 
 
 def _made(kind: type[Part], table: Section, **own: Any) -> Part:
-    """With the table's values by their names; `own`: those that are not as there."""
+    """Make a part with the table's values by their names; `own`: values that the table has
+    otherwise."""
     names = {field.name for field in fields(kind)} - own.keys()
     return kind(**{name: getattr(table, name) for name in names}, **own)
 
 
 def _of_register(kind: type[Part], table: AnyOfRegister | None) -> Part | None:
-    """As `_made`, where there is such a table."""
+    """Make a part as `_made`, if there is such a table."""
     return _made(kind, table, register=table.register_name) if table else None
 
 

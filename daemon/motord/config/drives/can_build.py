@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the tables of a drive on a CAN bus to its frames and signals."""
+"""Builder of the frames and signals of a drive on a CAN bus from its tables."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from motord_hal.drives.can_profile import SIZES_FD, STANDARD_ID_MAX, CanTable, F
 from motord_hal.drives.profile import Register, RegisterType
 
 _ANY_BYTE = -1
-"""Of `begins`: whatever stands there."""
+"""Value in `begins` for any byte."""
 _CLASSIC_BYTES_MAX = 8
 
 
 def can_table(can: CanBus, frames: Mapping[str, CanFrame], problems: Problems) -> CanTable:
-    """[can] and [frame.*]."""
+    """Return the table of [can] and [frame.*]."""
     found = {name: _frame(name, frame, can, problems) for name, frame in frames.items()}
     if not found:
         problems.add("frame", "there is no frame")
@@ -66,7 +66,7 @@ def _frame(name: str, table: CanFrame, can: CanBus, problems: Problems) -> Frame
 
 
 def _frame_name(key: str, name: str | None, frames: Mapping[str, Frame], problems: Problems) -> str:
-    """The name of a frame that is there, or nothing."""
+    """Return the name if there is such a frame; else add a problem, and return an empty text."""
     if name is None or name in frames:
         return name or ""
     known = ", ".join(f'"{frame}"' for frame in frames)
@@ -80,7 +80,7 @@ def can_signals(
     pole_pairs: int,
     problems: Problems,
 ) -> dict[str, Register]:
-    """[signal.*] by name."""
+    """Return the signals of [signal.*] by name."""
     if not signals:
         problems.add("signal", "there is no signal")
     return {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between the frames and signals of a drive profile on a CAN bus."""
+"""Checks between the frames and signals of a drive profile on a CAN bus."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from motord_hal.drives.profile import DriveProfile, Register
 
 
 def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> None:
-    """Add a row for everything that does not fit together."""
+    """Add a problem for everything that does not fit together."""
     if not table.node_min <= profile.unit <= table.node_max:
         problems.add("can.node", f"{profile.unit} is not {table.node_min} to {table.node_max}")
     for frame in table.frames.values():
@@ -46,13 +46,13 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
 
 
 def _check_rest(setpoint: Register | None, problems: Problems) -> None:
-    """Raw 0 of a set-point is rest, and so is what stands in its place when it is not given."""
+    """Check that raw 0 of a set-point is rest, and that it is the default."""
     if isinstance(setpoint, Signal) and (setpoint.offset or setpoint.default):
         problems.add(f"signal.{setpoint.name}", "is a set-point: its offset and default must be 0")
 
 
 def _same_beginning(one: Frame, other: Frame) -> bool:
-    """No byte differs between them."""
+    """Return whether no byte differs between the beginnings of two frames."""
     pairs = enumerate(zip(one.begins, other.begins, strict=False))
     return not any(
         mine != theirs and at not in one.open_at | other.open_at for at, (mine, theirs) in pairs
@@ -110,7 +110,7 @@ def _check_signal(frame: Frame, signal: Signal, problems: Problems) -> None:
 
 
 def _check_reply(table: CanTable, signal: Signal, problems: Problems) -> None:
-    """A signal that is written and read stands at one place in both frames."""
+    """Check that a signal that is written and read has one place in both frames."""
     reply = table.frames.get(signal.reply_frame)
     if reply is None:
         return
@@ -122,7 +122,7 @@ def _check_reply(table: CanTable, signal: Signal, problems: Problems) -> None:
 
 
 def _check_object(profile: DriveProfile, signal: Signal, problems: Problems) -> None:
-    """The object of a signal is read in its place: the same raw value means the same."""
+    """Check the object that is read instead of a signal: the same raw value must mean the same."""
     if not signal.object:
         return
     key, found = f"signal.{signal.name}.object", profile.registers.get(signal.object)
@@ -142,8 +142,8 @@ def _check_overlaps(frame: str, signals: tuple[Signal, ...], problems: Problems)
 
 
 def _check_presence(profile: DriveProfile, table: CanTable, problems: Problems) -> None:
-    """The feedback that a wheel is judged by must come by itself or on request, and its absence
-    must be noticed."""
+    """Check that the feedback by which a wheel is judged comes by itself or on request, and that
+    its absence is noticed."""
     if not any(frame.silence_s for frame in table.frames.values()):
         problems.add("frame", "no frame has a silence_s: nothing shows that the drive is there")
     wanted = [profile.enabled.register] if profile.enabled else []

@@ -12,7 +12,7 @@ from motord.config.sections.section import Section, number
 from motord_hal.drives.can_profile import EXTENDED_ID_MAX, NODE_MAX
 
 FrameBytes = Annotated[Literal[0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64], WHOLE]
-"""Those of can_profile.SIZES_FD."""
+"""Lengths of a frame's data: those of can_profile.SIZES_FD."""
 
 
 class CanBus(Section):
@@ -31,7 +31,7 @@ class CanBus(Section):
     idle_setpoints: bool = True
     """Zero set-points are also sent while the drive is not armed."""
     hello: Text | None = None
-    """The signal that is asked for until the drive is set up."""
+    """The signal that motord requests until the drive is set up."""
     sync: Text | None = None
     """The frame that is sent once in each cycle, after the set-points."""
 
@@ -40,9 +40,9 @@ class DbcFile(Section):
     """[dbc]: the DBC file that describes the drive's frames and signals."""
 
     file: Text
-    """Its path, from the profile's folder."""
+    """Path of the DBC file, from the profile's folder."""
     drive: Text
-    """The node of the file that is the drive."""
+    """The node of the file that stands for the drive."""
     node: int | None = number("the node number whose identifiers it has", 0, NODE_MAX, "1", None)
 
 
@@ -50,7 +50,7 @@ class EdsFile(Section):
     """[eds]: the electronic data sheet of a CANopen drive."""
 
     file: Text
-    """Its path, from the profile's folder."""
+    """Path of the data sheet, from the profile's folder."""
 
 
 class CanFrame(Section):
@@ -63,33 +63,33 @@ class CanFrame(Section):
     )
 
     dbc: Text | None = None
-    """Its message in the DBC file."""
+    """Name of the frame's message in the DBC file."""
     id: int | None = number("identifier with node 0", 0, EXTENDED_ID_MAX, "1", None)
     bytes: FrameBytes | None = None
-    """Length of its data."""
+    """Length of the frame's data in bytes."""
     sender: Literal["motord", "drive"] | None = None
     """Which side sends it."""
     source: Text | None = None
     """The page or table where this can be checked."""
     node_shift: int | None = number("as in [can]", 0, 24, "1", None)
     extended: bool | None = None
-    """As in [can]."""
+    """Whether identifiers have 29 bits; by default as in [can]."""
     fd: bool | None = None
-    """As in [can]."""
+    """Whether frames are CAN FD; by default as in [can]."""
     begins: list[Annotated[int, Field(ge=-1, le=255)]] = Field(default_factory=list)
-    """Its first bytes; -1: any."""
+    """First bytes of the frame's data; -1: any byte."""
     ask: Text | None = None
-    """How it is requested: "rtr", or the frame that requests it."""
+    """How the frame is requested: "rtr", or the frame that requests it."""
     answers: Text | None = None
-    """The frame of motord's that it answers each time."""
+    """The frame of motord that the drive answers each time with this one."""
     period_s: float | None = number("how often the drive sends it unasked", 0.0005, 60.0, "s", None)
     silence_s: float | None = number(
         "without it for this long, the drive is unresponsive", 0.001, 60.0, "s", None
     )
     addressed: bool = True
-    """Its identifier holds the node number."""
+    """Whether the identifier contains the node number."""
     short: bool = False
-    """An extended identifier that fits 11 bits is sent with 11."""
+    """Whether an extended identifier that fits 11 bits is sent with 11."""
     node_byte: int | None = number("the byte of its data that holds the node", 0, 63, "1", None)
 
 
@@ -103,15 +103,15 @@ class CanSignal(Scaled):
     )
 
     frame: Text
-    """The frame that it stands in."""
+    """The frame that contains the signal."""
     dbc: Text | None = None
-    """Its name in the DBC file."""
+    """Name of the signal in the DBC file."""
     type: Literal["u8", "i8", "u16", "i16", "u32", "i32", "f32"] | None = None
-    """Width and sign."""
+    """Width and sign of the raw value."""
     start_bit: int | None = number("its first bit in the data", 0, 511, "1", None)
     length: int | None = number("bits; those of the type if left out", 1, 32, "1", None)
     byte_order: Literal["little", "big"] = "little"
-    """Of its bytes, and how start_bit is counted."""
+    """Order of the signal's bytes; it also defines how start_bit is counted."""
     unit: Literal[Unit, "erpm"] = ""
     """Unit of the scaled value."""
     offset: float = number("what raw 0 means, in `unit`", -BOUND, BOUND, "1", 0.0)
@@ -129,9 +129,9 @@ class CanObject(Section):
     index: int = number("its index", 0x1000, 0xFFFF, "1")
     sub: int = number("its sub-index", 0, 255, "1", 0)
     type: Literal["u8", "i8", "u16", "i16", "u32", "i32"] | None = None
-    """Width and sign; [eds] may have it."""
+    """Width and sign of the raw value; the data sheet of [eds] gives them, too."""
     access: Literal["r", "rw"] = "rw"
-    """What motord may do with it."""
+    """What motord may do with the entry: read, or read and write."""
     scale: float = number("`unit` for each 1 of the raw value", -BOUND, BOUND, "1", 1.0)
     unit: Unit = ""
     """Unit of the scaled value."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between the parts of a drive profile, so that the line need not check it."""
+"""Checks between the parts of a drive profile, so that the line need not make them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from motord_hal.drives.profile import (
 )
 
 _SPEED_UNITS = ("rpm", "rad/s", "turn/s")
-# what a channel's entry must be: units, and whether it is written
+# for a channel's entry: the units of its register, and whether motord reads or writes it
 _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
     "velocity_setpoint": (_SPEED_UNITS, "w"),
     "duty_setpoint": (("percent",), "w"),
@@ -33,9 +33,9 @@ _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
 }
 _SETPOINTS = [entry for entry, (_, access) in _CHANNEL_RULES.items() if access == "w"]
 
-# the one DDSM command whose last byte is no check sum (motord_hal.ddsm.codec has the frames)
+# DDSM: the one command whose last byte is not a check sum (motord_hal.ddsm.codec)
 _UNSEALED = 0xA0
-# of bus servos: an instruction is written as a register (motord_hal.servo.packets)
+# bus servos: from this address on, a register is an instruction (motord_hal.servo.packets)
 _INSTRUCTIONS = 0xFF00
 _SERVOS = ("feetech", "dynamixel")
 _GO_TO_POSITIONS = ("modbus-rtu", "can", "pwm", *_SERVOS)
@@ -54,13 +54,13 @@ _FRAMES = (
 _BOARD_OWN = {"w": frozenset({1, 4, 5}), "r": frozenset({1, *range(4, 10)})}
 _BOARD_BYTES = {"w": 6 + 6 * 8, "r": 16 + 10 * 8}
 _HOVERBOARD_BYTES = {"w": 4, "r": 14}
-"""Of the values in its packets (motord_hal.hoverboard.codec)."""
+"""Lengths of the values in its packets (motord_hal.hoverboard.codec)."""
 _SABERTOOTH_TYPES = {0: "u8", 1: "i8", 2: "i8"}
-"""By address (motord_hal.sabertooth.codec)."""
+"""Type of a value by its address (motord_hal.sabertooth.codec)."""
 
 
 def check_profile(profile: DriveProfile, problems: Problems) -> None:
-    """Add a row for everything that does not fit together."""
+    """Add a problem for everything that does not fit together."""
     if profile.name and profile.name != profile.path.stem:
         problems.add("name", f'"{profile.name}" must be the file\'s name, "{profile.path.stem}"')
     if profile.can is not None:
@@ -85,7 +85,7 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
 
 
 def _check_wire(profile: DriveProfile, problems: Problems) -> None:
-    """What only a drive on a serial line has."""
+    """Check what only a drive on a serial line has."""
     for register in profile.registers.values():
         _check_register(profile, register, problems)
     _check_overlaps(profile, problems)
@@ -147,7 +147,8 @@ def _check_register(profile: DriveProfile, register: Register, problems: Problem
 
 
 def _check_place(key: str, register: Register, problems: Problems) -> None:
-    """Ten bytes a frame: unit, command, content, check sum; a mode stands in the last one."""
+    """Check a place in a frame of ten bytes: unit, command, content, check sum. The frame that sets
+    the mode has content up to its last byte."""
     if register.access not in ("r", "w"):
         problems.add(f"{key}.access", 'a place is in the request ("w") or in the reply ("r")')
     begin, end = register.address & 0xFF, (register.address & 0xFF) + register.type.bits // 8
@@ -158,7 +159,8 @@ def _check_place(key: str, register: Register, problems: Problems) -> None:
 
 
 def _check_servo_register(key: str, register: Register, problems: Problems) -> None:
-    """An address in the servo's control table, or an instruction (motord_hal.servo.packets)."""
+    """Check an address in the servo's control table, or an instruction
+    (motord_hal.servo.packets)."""
     if register.type.value.endswith("low-first"):
         problems.add(f"{key}.type", "of bus servos all values stand low byte first")
     if register.address >= _INSTRUCTIONS and (register.access != "w" or register.type.bits != 8):
@@ -166,7 +168,7 @@ def _check_servo_register(key: str, register: Register, problems: Problems) -> N
 
 
 def _check_board_place(key: str, register: Register, problems: Problems) -> None:
-    """A byte of the set-points, of the feedback, or of both (docs/mcu-frame.md)."""
+    """Check a byte of the set-points, of the feedback, or of both (docs/mcu-frame.md)."""
     place = set(range(register.address, register.address + register.type.bits // 8))
     for access in register.access:
         if place & _BOARD_OWN[access] or max(place) >= _BOARD_BYTES[access]:
@@ -175,7 +177,7 @@ def _check_board_place(key: str, register: Register, problems: Problems) -> None
 
 
 def _check_packet_place(key: str, register: Register, problems: Problems) -> None:
-    """Two bytes behind the start word of the command, or of the feedback."""
+    """Check a word of two bytes behind the start word of the command, or of the feedback."""
     if register.access not in ("r", "w"):
         problems.add(f"{key}.access", 'a place is in the command ("w") or in the feedback ("r")')
         return
@@ -207,7 +209,7 @@ def _check_overlaps(profile: DriveProfile, problems: Problems) -> None:
         apart = one.address + _span(profile, one) <= other.address or (
             other.address + _span(profile, other) <= one.address
         )
-        if profile.protocol in _FRAMES:  # what is sent and what comes back are two frames
+        if profile.protocol in _FRAMES:  # what motord sends and what the drive sends are two frames
             apart = apart or not set(one.access) & set(other.access)
         shared = one.mask is not None and other.mask is not None and not one.mask & other.mask
         if not apart and not shared:
@@ -218,7 +220,7 @@ def _check_overlaps(profile: DriveProfile, problems: Problems) -> None:
 
 
 def _span(profile: DriveProfile, register: Register) -> int:
-    """How many addresses it takes: bytes of a frame, or words."""
+    """Return how many addresses a register takes: bytes of a frame, or words."""
     return register.type.bits // 8 if profile.protocol in _FRAMES else register.type.words
 
 
@@ -230,7 +232,8 @@ def _reference(
     units: tuple[str, ...],
     problems: Problems,
 ) -> Register | None:
-    """The register that a key names, if it is there and may be used like that."""
+    """Return the register that a key names, or None. Add a problem if it is missing or cannot be
+    used like this."""
     if not name:
         return None  # the reader has reported it
     register = profile.registers.get(name)
@@ -271,7 +274,8 @@ def _check_channel(profile: DriveProfile, key: str, channel: Channel, problems: 
 
 
 def _check_torque(profile: DriveProfile, key: str, channel: Channel, problems: Problems) -> None:
-    """The core closes the loop: it needs the speed, and torque in both directions."""
+    """Check a torque: the core closes the loop, so it needs the speed, and torque in both
+    directions."""
     if profile.protocol != "can":
         problems.add(key, f'torque_setpoint: not with protocol "{profile.protocol}"')
     if channel.velocity is None:
@@ -284,7 +288,8 @@ def _check_torque(profile: DriveProfile, key: str, channel: Channel, problems: P
 
 
 def _check_position(profile: DriveProfile, key: str, channel: Channel, problems: Problems) -> None:
-    """It is armed with the place where it is, and moved only from a place that is known."""
+    """Check a position: the drive is armed at the place where it is, and moved only from a known
+    place."""
     if profile.protocol not in _GO_TO_POSITIONS:
         problems.add(key, f'position_setpoint: not with protocol "{profile.protocol}"')
         return
@@ -329,7 +334,7 @@ def _check_setpoint(
 def _check_together(
     profile: DriveProfile, key: str, setpoint: Register, channel: Channel, problems: Problems
 ) -> None:
-    """One request carries them all: the drive never acts on half of it."""
+    """Check that one request carries all these registers: the drive never acts on half of it."""
     if not channel.setpoint_with:
         return
     words = set(range(setpoint.address, setpoint.address + setpoint.type.words))
@@ -351,7 +356,8 @@ def _check_handshake(
     handshake: Handshake,
     problems: Problems,
 ) -> None:
-    """The bit goes out with its target, and what acknowledges it comes in a frame of its own."""
+    """Check that the bit is in the frame of the set-point, and that its acknowledgement can be
+    read."""
     if profile.can is None or setpoint is None or setpoint.unit not in ("count", "turn"):
         problems.add(key, "is for a position_setpoint on a CAN bus")
         return
@@ -380,7 +386,7 @@ def _check_direction(
 
 
 def _check_counter(profile: DriveProfile, problems: Problems) -> None:
-    # of a text board the robot file alone knows whether it reports counts, and how many
+    # whether a text board reports counts, and how many, is only in the robot file
     by_joint = profile.protocol == "ascii" and profile.counts_per_turn == 0
     if (profile.counts_per_turn == 0) != (profile.counter_bits == 0) and not by_joint:
         problems.add("motor", "counts_per_turn and counter_bits are both zero or both not")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """[dbc] of a drive profile: identifiers, places, scales and units from a DBC file, written out into
-the frames and signals that name them. What the profile says too must agree with the file."""
+the frames and signals that name them. What the profile gives, too, must agree with the file."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cantools.database.can.signal import Signal as DbcSignal
 
 _ENCODING = "cp1252"
-"""Of DBC files: what the tools write that made the format."""
+"""Encoding of DBC files: that of the tools which made the format."""
 _BITS_MAX = 32
 _TURN_DEG, _TURN_RAD = 360.0, 2.0 * math.pi
 # unit text, lower case → (unit of a profile, how many of those it is)
@@ -50,14 +50,14 @@ _UNITS = MappingProxyType(
     }
 )
 _MAY_DIFFER = ("source", "period_s", "minimum", "maximum", "default")
-"""What a profile may say otherwise than the file does."""
+"""Keys in which a profile may differ from the file."""
 
 
 def with_dbc(
     data: dict[str, Any], profile: DriveFile, path: Path, places: Places
 ) -> dict[str, Any]:
-    """The profile's tables with all that its DBC file says of them; without [dbc] as they are.
-    Raises ConfigError with every problem that the two have with each other."""
+    """Return the profile's tables with all that its DBC file has about them; without [dbc]
+    unchanged. Raises ConfigError with every problem that the two have with each other."""
     if profile.dbc is None:
         return data
     reader = _Reader(path.parent / profile.dbc.file, profile.dbc)
@@ -82,19 +82,19 @@ def with_dbc(
 
 
 class _Reader:
-    """One DBC file, and what of it the profile names."""
+    """Reader of one DBC file, for what the profile names in it."""
 
     def __init__(self, file: Path, dbc: DbcFile) -> None:
         self.problems = Problems()
-        """Of the profile."""
+        """Problems of the profile."""
         self.of_file: list[Problem] = []
         self._file, self._drive = file, dbc.drive
         self._lines: list[str] = []
         self._messages = self._load()
         self._named: dict[str, Message] = {}
-        """Frame of the profile → message."""
+        """Frame of the profile → message of the file."""
         self._mapped: set[tuple[str, str]] = set()
-        """(frame, signal in the DBC file)."""
+        """Pairs of a frame and a signal of the DBC file that the profile has."""
 
     @property
     def loaded(self) -> bool:
@@ -103,7 +103,7 @@ class _Reader:
 
     # ------------------------------------------------------------------------------------ the file
     def _load(self) -> dict[str, Message]:
-        import cantools  # only a robot that has such a drive pays for it
+        import cantools  # imported here, as only a robot with such a drive needs it
         from cantools.database.can import Database
 
         try:
@@ -120,7 +120,7 @@ class _Reader:
             line = re.search(r"line (\d+)", str(error))
             self._complain(int(line.group(1)) if line else 1, "dbc", str(error))
             return {}
-        assert isinstance(found, Database)  # the format says so
+        assert isinstance(found, Database)  # by database_format
         names = [node.name for node in found.nodes]
         if self._drive not in names:
             hint = did_you_mean(self._drive, names) or f"; it has {', '.join(names) or 'none'}"
@@ -131,7 +131,7 @@ class _Reader:
         self.of_file.append(Problem(str(self._file), line, what, problem))
 
     def _line_of(self, message: str, signal: str = "") -> int:
-        """Where the file says it."""
+        """Return the line of a message, or of a signal in it; 1: it was not found."""
         inside = False
         for number, line in enumerate(self._lines, 1):
             words = line.replace(":", " ").split()
@@ -147,7 +147,7 @@ class _Reader:
     def frame(
         self, name: str, table: CanFrame, given: Mapping[str, Any], node: int, shift: int
     ) -> Mapping[str, Any]:
-        """The frame's table: what is `given`, and what the file says."""
+        """Return the frame's table: what is `given`, and what the file has."""
         if table.dbc is None:
             return given
         key = f"frame.{name}"
@@ -189,7 +189,7 @@ class _Reader:
         return True
 
     def _known(self, key: str, name: str, known: Iterable[str]) -> str:
-        """The name; one that is unknown is a problem."""
+        """Return the name; add a problem if it is unknown."""
         known = list(known)
         if name not in known:
             hint = did_you_mean(name, known) or f"; there are {', '.join(known) or 'none'}"
@@ -198,7 +198,7 @@ class _Reader:
 
     # --------------------------------------------------------------------------------- the signals
     def signal(self, name: str, table: CanSignal, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The signal's table: what is `given`, and what the file says."""
+        """Return the signal's table: what is `given`, and what the file has."""
         if table.dbc is None:
             return given
         key, frame = f"signal.{name}", table.frame
@@ -229,7 +229,7 @@ class _Reader:
             found["default"] = start
         if not by_drive:
             found |= self._limits(key, given, signal, factor)
-            if start and "default" not in given:  # it might be the command that lets the motor run
+            if start and "default" not in given:  # not taken over: it might make the motor run
                 problem = f"is missing: {signal.name} starts with {start} in {self._file.name},"
                 problem = f"{problem} motord would send 0 until it is written"
                 self.problems.add(f"{key}.default", problem)
@@ -248,8 +248,9 @@ class _Reader:
         return not problem
 
     def _unit(self, key: str, given: Mapping[str, Any], signal: DbcSignal) -> tuple[str, float]:
-        """The unit in the words of a profile, and the factor to it. What the profile says holds
-        where the file has none, or one that is unknown; electrical turns are turns to a file."""
+        """Return the unit as a profile names it, and the factor to it. The profile's unit counts if
+        the file's is missing or unknown; a file does not distinguish electrical turns from
+        turns."""
         text = (signal.unit or "").replace("\u00c2", "").strip()  # a degree sign that was UTF-8
         known = _UNITS.get(text.lower())
         wanted: str | None = given.get("unit")
@@ -270,7 +271,7 @@ class _Reader:
     def _limits(
         self, key: str, given: Mapping[str, Any], signal: DbcSignal, factor: float
     ) -> dict[str, object]:
-        """What may be sent. The profile may be narrower than the file."""
+        """Return the limits of what motord may send. The profile may be narrower than the file."""
         found: dict[str, object] = {}
         ends = (("minimum", signal.minimum, 1), ("maximum", signal.maximum, -1))
         for end, limit, inward in ends:
@@ -287,7 +288,7 @@ class _Reader:
     def _agreed(
         self, key: str, given: Mapping[str, Any], found: Mapping[str, object]
     ) -> dict[str, Any]:
-        """Both together; what stands in both must be the same."""
+        """Return both together; add a problem if they differ in a value."""
         for part, value in found.items():
             own = given.get(part, value)
             if part not in _MAY_DIFFER and not _same(own, value):
@@ -296,7 +297,8 @@ class _Reader:
         return {**found, **given}
 
     def check_whole(self) -> None:
-        """A message that motord sends is known in all its parts: else 0 would go out in some."""
+        """Check that the profile has all signals of a message that motord sends: else 0 would be
+        sent."""
         for name, message in self._named.items():
             if self._drive in message.senders:
                 continue

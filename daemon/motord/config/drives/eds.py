@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[eds] of a drive profile: what the drive's electronic data sheet (CiA 306) says of the objects
-that the profile names. Types come from there; differences are reported before any wire is used."""
+"""[eds] of a drive profile: the drive's electronic data sheet (CiA 306) describes the objects that
+the profile names. Types come from there; differences are reported before any wire is used."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 _TYPES = MappingProxyType({2: "i8", 3: "i16", 4: "i32", 5: "u8", 6: "u16", 7: "u32"})
 _READ_ONLY = ("ro", "const")
 _PDO_MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
-"""Of RPDOs and TPDOs: CiA 301, 7.5.2.36 and .38."""
+"""Objects that map RPDOs and TPDOs: CiA 301, 7.5.2.36 and .38."""
 _MODE, _MODES = 0x6060, 0x6502
-"""Modes of operation; supported drive modes, one bit each, mode 1 is bit 0 (CiA 402-2)."""
+"""Objects: modes of operation; supported drive modes, one bit each, mode 1 is bit 0 (CiA 402-2)."""
 
 
 def with_eds(
     data: dict[str, Any], profile: DriveFile, path: Path, places: Places
 ) -> dict[str, Any]:
-    """The profile's tables with the types that its EDS file says; without [eds] as they are. Raises
+    """Return the profile's tables with the types of its EDS file; without [eds] unchanged. Raises
     ConfigError with every problem that the two have with each other."""
     if profile.eds is None:
         return data
@@ -50,8 +50,8 @@ def with_eds(
 
 
 def _load(file: Path) -> ObjectDictionary:
-    """Raises ConfigError."""
-    import canopen  # only a robot that has such a drive pays for it
+    """Read an EDS file. Raises ConfigError."""
+    import canopen  # imported here, as only a robot with such a drive needs it
 
     try:
         bounded.read(file, bounded.DESCRIPTION_BYTES_MAX)
@@ -66,7 +66,7 @@ def _load(file: Path) -> ObjectDictionary:
 
 
 class _Reader:
-    """One EDS file, and the objects of the profile by name."""
+    """Reader of one EDS file, with the objects of the profile by name."""
 
     def __init__(self, file: str, dictionary: ObjectDictionary, problems: Problems) -> None:
         self.problems = problems
@@ -74,7 +74,7 @@ class _Reader:
         self._indices: dict[str, tuple[int, int]] = {}
 
     def object(self, name: str, table: CanObject, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The object's table with its type, and what the drive starts with."""
+        """Return the object's table with its type, and its value at power-up."""
         key, index, sub = f"object.{name}", table.index, table.sub
         entry = self._dictionary.get_variable(index, sub)
         if entry is None:
@@ -95,7 +95,7 @@ class _Reader:
         return {"type": kind, **default, **given}
 
     def check_steps(self, steps: Sequences) -> None:
-        """What is mapped into PDOs can be, and the mode is one that the drive has."""
+        """Check that mapped objects can be mapped into PDOs, and that the drive has the mode."""
         for name in Sequences.model_fields:
             for at, step in enumerate(getattr(steps, name)):
                 if not isinstance(step, WriteStep) or step.value is None:
@@ -108,7 +108,7 @@ class _Reader:
                     self._check_mode(key, step.value)
 
     def _check_mapped(self, key: str, value: int) -> None:
-        """Index, sub-index and bits of a mapped object: CiA 301, 7.5.2.36."""
+        """Check index, sub-index and bits of a mapped object: CiA 301, 7.5.2.36."""
         index, sub, bits = value >> 16, value >> 8 & 0xFF, value & 0xFF
         entry: ODVariable | None = self._dictionary.get_variable(index, sub)
         where = f"{index:04X}h:{sub:02X}h"

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reader of drive profiles: a TOML file in, a DriveProfile or every problem at once out.
+"""The reader of drive profiles: makes a DriveProfile, or every problem at once, from a TOML file.
 
-The format is explained in docs/drives/README.md. What a value alone can say is checked by the
-tables; what follows only from several of them together is checked in `check.py`.
-"""
+docs/drives/README.md explains the format. The tables check each value alone; `check.py` checks what
+follows only from several of them together."""
 
 from __future__ import annotations
 
@@ -30,7 +29,8 @@ from motord_hal.drives.profile import DriveProfile
 
 
 def list_profiles(extra_dirs: Iterable[Path] = ()) -> dict[str, Path]:
-    """Name → file of every profile; the extra folders outrank the shipped one."""
+    """Return the file of every profile by name; a profile in an extra folder replaces the shipped
+    one."""
     found: dict[str, Path] = {}
     for folder in (*extra_dirs, config_dir() / "drives"):
         for path in sorted(Path(folder).glob("*.toml")):
@@ -39,12 +39,12 @@ def list_profiles(extra_dirs: Iterable[Path] = ()) -> dict[str, Path]:
 
 
 def is_file_name(name: str) -> bool:
-    """Whether a drive is named by its file and not by the name of a shipped profile."""
+    """Return whether a drive is named by its file and not by the name of a shipped profile."""
     return "/" in name or name.endswith(".toml")
 
 
 def find_profile(name: str, extra_dirs: Iterable[Path] = ()) -> DriveProfile:
-    """The shipped profile of that name, or the file where `is_file_name` holds. Raises
+    """Return the profile of that name, or of that file where `is_file_name` holds. Raises
     ProfileError."""
     if is_file_name(name):
         return load_profile(Path(name))
@@ -75,7 +75,7 @@ def load_profile(path: Path, counts_per_turn: int | None = None) -> DriveProfile
 
 
 def _profile(path: Path, data: dict[str, Any], places: Places) -> DriveProfile:
-    """Raises ConfigError."""
+    """Return the profile of a file's data. Raises ConfigError."""
     try:
         file = DriveFile.model_validate(data)
         for described in (with_dbc, with_eds):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[object.*] of a drive profile: entries of a CANopen object dictionary, as frames of expedited SDO
-transfers and one signal each (CiA 301, 7.2.4.3)."""
+"""[object.*] of a drive profile: entries of a CANopen object dictionary, each as frames of
+expedited SDO transfers and one signal (CiA 301, 7.2.4.3)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from motord_hal.drives.can_profile import ABORT_CODE, ABORT_FRAME, CanTable, Fra
 from motord_hal.drives.profile import Register, RegisterType
 
 SDO_REQUEST, SDO_REPLY = 0x600, 0x580
-"""CiA 301, 7.3.5: the predefined connection set."""
+"""Identifiers of the predefined connection set: CiA 301, 7.3.5."""
 _DOWNLOAD = {8: 0x2F, 16: 0x2B, 32: 0x23}
-"""Initiate download, expedited, so many bits: CiA 301, 7.2.4.3.3."""
+"""First byte of an expedited download, by its number of bits: CiA 301, 7.2.4.3.3."""
 _UPLOADED = {8: 0x4F, 16: 0x4B, 32: 0x43}
-"""The reply to an upload, 7.2.4.3.6, where the server says how many bytes count,"""
+"""First byte of the reply to an upload, by its number of bits: 7.2.4.3.6."""
 _UPLOADED_UNSAID = 0x42
-"""and where it does not."""
+"""First byte of that reply if the server does not give the number of bytes."""
 _UPLOAD, _DOWNLOADED, _ABORT = 0x40, 0x60, 0x80
 _DATA_BIT = 32
 
@@ -26,7 +26,7 @@ _DATA_BIT = 32
 def with_objects(
     table: CanTable, objects: Mapping[str, CanObject]
 ) -> tuple[CanTable, dict[str, Register]]:
-    """The table with the frames of these objects, and their signals by name."""
+    """Return the table with the frames of these objects, and their signals by name."""
     frames, signals = dict(table.frames), dict[str, Register]()
     frames[ABORT_FRAME] = _frame(ABORT_FRAME, Sender.DRIVE, bytes((_ABORT,)))
     signals[ABORT_CODE] = _signal(ABORT_CODE, ABORT_FRAME, RegisterType.U32, "r")

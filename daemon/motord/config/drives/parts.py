@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tables of a drive profile have in common: names, units, raw values, scales."""
+"""Types that the tables of a drive profile share: names, units, raw values, scales."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Text = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 Unit = Literal[
     "", "count", "rpm", "rad/s", "turn", "turn/s", "percent", "n_m", "a", "v", "c", "s", "ms"
 ]
-"""Those of profile.SI_UNITS."""
+"""The units of profile.SI_UNITS."""
 Access = Literal["r", "w", "rw"]
 RAW_MIN, RAW_MAX = -(1 << 31), (1 << 32) - 1
 BOUND = 1e12
-"""Of scales and limits: further than any drive."""
+"""Bound of scales and limits: beyond those of any drive."""
 
 
 def _whole(value: Any) -> Any:
-    """Of a choice of numbers: true is not 1, and 1.0 neither."""
+    """Refuse true for 1, and 1.0, in a choice of numbers."""
     if type(value) is not int:
         raise PydanticKnownError("int_type")
     return value
@@ -34,7 +34,7 @@ WHOLE = BeforeValidator(_whole)
 
 
 def Mask(default: Any = ...) -> Any:  # noqa: N802  beside Field
-    """Bits of a register of 32."""
+    """Declare a mask for a register of up to 32 bits."""
     return number("bits that count", 1, 0xFFFFFFFF, "1", default)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the checks of a drive profile find."""
+"""Findings of the checks of a drive profile."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Problems:
         self.found: list[Finding] = []
 
     def add(self, key: str, problem: str) -> None:
-        """`key` is a path as `dotted` writes it."""
+        """Add a problem. `key` is a path as `dotted` writes it."""
         self.found.append(Finding((_path(key),), problem))
 
 

@@ -67,17 +67,17 @@ class SerialWire(Section):
     write_function: Annotated[Literal[6, 16], WHOLE] | None = None
     """Modbus function that writes set-points."""
     read_write_function: Annotated[Literal[23], WHOLE] | None = None
-    """23 where the drive reads and writes in one exchange."""
+    """Modbus function that reads and writes in one exchange, if the drive has it."""
     broadcast_stop: bool = False
     """The drive accepts writes to unit 0: one frame stops all drives of the line."""
 
 
 class Motor(Section):
-    """[motor]: what hangs on the drive."""
+    """[motor]: the motor of the drive."""
 
     counts_per_turn: int = number("encoder counts of a motor turn; 0: none", 0, 1 << 30, "1", 0)
     counter_bits: Annotated[Literal[0, 8, 12, 15, 16, 24, 32], WHOLE] = 0
-    """Width of the position counter; 0: there is none."""
+    """Width of the position counter in bits; 0: no counter."""
     pole_pairs: int = number("pole pairs; 0: not needed", 0, 100, "1", 0)
 
 
@@ -89,8 +89,9 @@ class HoldingRegister(Scaled):
         "u8", "i8", "u16", "i16", "u32", "i32", "u32-low-first", "i32-low-first", "m16",
         "u16-high-first", "m16-bit10-high-first",
     ]  # fmt: skip
-    """Width and sign; two words come high word first unless the name says otherwise; m16 is a sign
-    bit and a magnitude. A bus servo's bytes come low byte first unless the name says otherwise."""
+    """Width and sign; two words come high word first unless the name has another order; m16 is a
+    sign bit and a magnitude. A bus servo's bytes come low byte first unless the name has another
+    order."""
     unit: Literal[Unit, "hz", "count/s"] = ""
     """Unit of the scaled value."""
     access: Access
@@ -101,7 +102,7 @@ class HoldingRegister(Scaled):
 
 
 class ReverseRegister(Section):
-    """[channel.N.direction]: for a set-point that is a magnitude."""
+    """[channel.N.direction]: the register of the direction, for a set-point that is a magnitude."""
 
     register_name: Text = Field(alias="register")
     """The register that holds the direction."""
@@ -117,7 +118,7 @@ class TargetHandshake(Section):
     """The signal that has the bit, in the frame of the set-point."""
     mask: int = number("the bit", 1, (1 << 32) - 1, "1")
     acknowledged: Text
-    """The signal that says that the drive has taken the target."""
+    """The signal by which the drive reports that it has taken the target."""
     acknowledged_mask: int = number("its bit for that", 1, (1 << 32) - 1, "1")
 
 
@@ -143,36 +144,37 @@ class MotorChannel(Section):
     fault: Text | None = None
     """Register of the fault word."""
     direction: ReverseRegister | None = None
-    """For a set-point without sign."""
+    """Register of the direction, for a set-point without sign."""
     setpoint_with: dict[str, Annotated[int, Field(ge=-(1 << 15), le=(1 << 16) - 1)]] = Field(
         default_factory=dict
     )
     """Registers that get a fixed raw value in the same request as each set-point."""
     handshake: TargetHandshake | None = None
-    """Of a drive on a CAN bus that takes a position with a handshake."""
+    """Handshake, for a drive on a CAN bus that takes a position only with one."""
 
 
 class WriteStep(Section):
     """A step that writes a register."""
 
     write: Text
-    """The register."""
+    """The register to write."""
     value: int | None = number("raw value", RAW_MIN, RAW_MAX, "1", None)
     verify: bool = True
     """Whether the register keeps what was written, so that it can be read back."""
     if_different: bool = False
-    """It is read before, and written only where it holds another value: for memory that wears."""
+    """Whether it is read before, and written only if it holds another value: for memory that
+    wears."""
     plus_node: bool = False
-    """The drive's own node number is added to the value."""
+    """Whether the drive's own node number is added to the value."""
     cycle: bool = False
-    """The value is the time of the line's cycle, in the unit of the register."""
+    """Whether the value is the time of the line's cycle, in the unit of the register."""
 
 
 class WaitStep(Section):
     """A step that waits until (register & mask) = equals."""
 
     wait: Text
-    """The register."""
+    """The register to read."""
     mask: int = Mask(0xFFFFFFFF)
     equals: int = number("raw value to wait for", 0, 0xFFFFFFFF, "1")
     within_s: float = number("longest time", 0.001, 10.0, "s")
@@ -196,25 +198,25 @@ AnyStep = Annotated[
 
 
 class Sequences(Section):
-    """[steps]: what is written to the drive, in order."""
+    """[steps]: what motord writes to the drive, in order."""
 
     configure: list[AnyStep] = Field(default_factory=list)
-    """Once, when the drive is found."""
+    """Steps that are taken once, when the drive is found."""
     arm: list[AnyStep] = Field(default_factory=list)
-    """Before the first set-point."""
+    """Steps before the first set-point."""
     disarm: list[AnyStep] = Field(default_factory=list)
-    """To take the motor's power."""
+    """Steps that take the motor's power."""
     quick_stop: list[AnyStep] = Field(default_factory=list)
-    """To stop it as fast as the drive can."""
+    """Steps that stop the motor as fast as the drive can."""
     clear_fault: list[AnyStep] = Field(default_factory=list)
-    """To leave a fault, when a person requests it."""
+    """Steps that leave a fault, when a person requests it."""
 
 
 class EnabledWhen(Section):
     """[enabled]: the drive has power when (register & mask) = equals."""
 
     register_name: Text = Field(alias="register")
-    """The register."""
+    """The register to read."""
     mask: int = Mask()
     equals: int = number("its value then", 0, 0xFFFFFFFF, "1")
 
@@ -234,7 +236,7 @@ class DriveWatchdog(Section):
     """[watchdog]: the drive's own communication watchdog."""
 
     register_name: Text = Field(alias="register")
-    """The register that holds its time."""
+    """The register that holds the watchdog's time."""
     minimum_s: float = number("shortest time that it takes", 0.001, 3600.0, "s")
     maximum_s: float = number("longest time that it takes", 0.001, 3600.0, "s")
     action: Text
@@ -278,11 +280,11 @@ class MotorBridge(Section):
     coast: Pins
     """Levels without power."""
     brake: Pins
-    """Levels that short the motor."""
+    """Levels that short the motor, so that it brakes."""
     forward: Pins
-    """Levels that drive it forward."""
+    """Levels that drive the motor forward."""
     reverse: Pins
-    """Levels that drive it in reverse."""
+    """Levels that drive the motor in reverse."""
 
 
 def _one_line(value: Any) -> Any:
@@ -305,15 +307,16 @@ class DriveFile(Section):
     name: Text
     """The file's name without its ending."""
     title: Annotated[Text, BeforeValidator(_one_line)]
-    """Maker and model."""
+    """Maker and model of the drive."""
     protocol: Protocol
-    """What the drive speaks."""
+    """Protocol that the drive speaks."""
     source: Text
-    """Where all this is from: manual, version, table."""
+    """Source of this profile: manual, version, table."""
     bus_voltage: Text | None = None
     """Register of the supply voltage."""
     absolute: bool = False
-    """The position means the same after each power-up: an absolute encoder on the output."""
+    """Whether the position means the same after each power-up: an absolute encoder on the
+    output."""
     watchdog_fixed_s: float | None = number(
         "time of a communication watchdog that can neither be set nor read",
         0.001,

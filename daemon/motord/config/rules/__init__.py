@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What has to fit together in a robot file."""
+"""Rules for what has to fit together in a robot file."""

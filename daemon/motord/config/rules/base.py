@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between a base and its wheels."""
+"""Rules between a base and its wheels."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ from motord.config.sections.model import Joint, Robot
 from motord.config.toml_lines import Path
 
 _WHEEL_RADIUS_USUAL_M, _TRACK_USUAL_M = 0.4, 3.0
-"""Small robots have less; more is allowed, and asked about."""
+"""Usual sizes: small robots have less; for more, the check warns."""
 _LEVER_LEAST = 0.1
-"""Of half the wheels' distance: a base turns by less only against much slip."""
+"""Least lever, as a part of half the wheels' distance: with less a base turns only against much
+slip."""
 _DETERMINED_LEAST = 1e-6
-"""As csrc/core/kinematics/kinematics.c."""
+"""The same bound as in csrc/core/kinematics/kinematics.c."""
 _KEYS = ("side", "place", "angle_rad", "x_m", "y_m", "rolling_rad")
 _OF_KIND: dict[str, tuple[str, ...]] = {
     "differential": ("side",),
@@ -55,7 +56,7 @@ def _placed(joint: Joint, kind: str) -> bool:
 
 
 def _places(robot: Robot) -> Iterator[Finding]:
-    """Every wheel says where it is, in the terms of its base."""
+    """Check that every wheel has a place, in the terms of its base."""
     kind = robot.base.kind
     for name, joint in robot.joint.items():
         for key in _KEYS:
@@ -88,7 +89,7 @@ def _sides(robot: Robot) -> Iterator[Finding]:
 
 
 def _corners(robot: Robot) -> Iterator[Finding]:
-    """A mecanum base has one wheel at each corner."""
+    """Check that a mecanum base has one wheel at each corner."""
     if not isinstance(robot.base, MecanumBase):
         return
     at = tuple(("joint", name, "place") for name in robot.joint)
@@ -100,7 +101,8 @@ def _corners(robot: Robot) -> Iterator[Finding]:
 
 
 def _can_move(robot: Robot) -> Iterator[Finding]:
-    """The wheels determine the motion: no wheel could brake a motion in which none turns."""
+    """Check that the wheels determine the motion: no wheel could brake a motion in which none
+    turns."""
     base, joints = robot.base, robot.joint
     if (
         isinstance(base, SteeredBase)
@@ -135,7 +137,8 @@ def _slip_factor(robot: Robot) -> Iterator[Finding]:
 
 
 def _geometry(robot: Robot) -> Iterator[Finding]:
-    """A base with a wrong size in its file drives at another speed than its set-point."""
+    """Warn of unusual sizes: a base with a wrong size in its file drives at another speed than its
+    set-point."""
     base = robot.base
     if isinstance(base, JointsBase):
         return
@@ -167,7 +170,8 @@ _BaseRule = Callable[[Robot], Iterator[Finding]]
 
 
 def _by_kind(rule: _BaseRule) -> _BaseRule:
-    """What a rule finds means nothing where the kind of the base is wrong."""
+    """Return the rule with findings that depend on the kind of the base: a wrong kind makes them
+    useless."""
 
     def found(robot: Robot) -> Iterator[Finding]:
         for hit in rule(robot):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold for [battery], by itself and with the profiles of the drives that report it."""
+"""Rules for [battery], by itself and with the profiles of the drives that report it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from motord_hal.i2c.ina import CHIPS
 
 
 def battery_alone(robot: Robot) -> Iterator[Finding]:
-    """Thresholds, joints, and what the chip can do."""
+    """Check thresholds, joints, and what the chip can do."""
     battery, forbids = robot.battery, robot.safety.on_battery_critical == "stop"
     if battery is None:
         if forbids:
@@ -44,7 +44,7 @@ def _joints(robot: Robot, battery: DrivesBattery) -> Iterator[Finding]:
 
 
 def battery_readings(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Each is a register that can be read, of the right unit."""
+    """Check that each reading is a register that can be read, of the right unit."""
     battery = robot.battery
     for key, where in battery.readings.items() if isinstance(battery, DrivesBattery) else ():
         joint, _, name = where.partition(".")

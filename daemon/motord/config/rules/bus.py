@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between the keys of a bus: above all, what may command over a network."""
+"""Rules between the keys of a bus: above all, what may command over a network."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from motord.config.toml_lines import Path
 
 LEASE_COMMANDS = 2
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
-EVERY_INTERFACE = ("0.0.0.0", "::")  # to warn of them
+EVERY_INTERFACE = ("0.0.0.0", "::")  # hosts that the rules warn of
 _PACKAGES = {
     "ros2": "cyclonedds",
     "ros2-zenoh": "zenoh",
@@ -60,7 +60,7 @@ def _commands_are_encrypted(robot: Robot) -> Iterator[Finding]:
 
 
 def _secrets_are_secret(robot: Robot) -> Iterator[Finding]:
-    """motord-bus does not use a file that others can read."""
+    """Warn of secrets in files that others can read: motord-bus does not use these."""
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
             for key in ("token_file", "password_file"):
@@ -193,7 +193,8 @@ def _ros2_commands_are_meant(robot: Robot) -> Iterator[Finding]:
 
 
 def _ros2_commands_of_this_machine(robot: Robot) -> Iterator[Finding]:
-    """On the local socket the kernel names the caller; DDS does not."""
+    """Warn that every user may command: DDS does not name the caller, as the kernel does on the
+    local socket."""
     for path, section in _ros2_nodes(robot):
         if isinstance(section, Ros2Input) and section.discovery == "localhost":
             text = "every user of this machine can arm and drive by it: DDS does not authenticate"
@@ -222,8 +223,8 @@ def _ros2_domains(robot: Robot) -> Iterator[Finding]:
 
 
 def missing_packages(robot: Robot) -> Iterator[tuple[Path, str, str]]:
-    """Of each section that needs a package which is not installed: its kind's place in the file,
-    the package, and how to install it."""
+    """Yield for each section that needs a package which is not installed: its kind's place in the
+    file, the package, and how to install it."""
     for table, sections in (("publish", robot.publish), ("input", robot.input)):
         for name, section in sections.items():
             package = _PACKAGES.get(section.kind)
@@ -277,7 +278,7 @@ def _zenoh_routers(robot: Robot) -> Iterator[Finding]:
 
 
 def _remaps_agree(robot: Robot) -> Iterator[Finding]:
-    """One node has one name for a topic."""
+    """Check that one node has one name for a topic."""
     seen: dict[tuple[str, str, str, int, str], tuple[Path, str]] = {}
     for path, section in (*_ros2_nodes(robot), *_zenoh_nodes(robot)):
         over = "dds" if isinstance(section, Ros2Node) else "zenoh"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the rules, and finds the drives' profiles for them."""
+"""Runs all rules, and finds the drives' profiles for them."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _REFERENCES = (("line",), ("drive",), ("channel",), ("unit",))
 
 
 def findings(robot: Robot) -> tuple[list[Finding], Profiles]:
-    """Everything that does not fit together, and the profiles of the drives. Rules that need drives
-    are asked about the joints that have a line, a drive, an address and a channel."""
+    """Return everything that does not fit together, and the profiles of the drives. Rules that need
+    drives check only the joints that have a line, a drive, an address and a channel."""
     found = [hit for rule in (*ROBOT_RULES, *LINE_RULES, *BUS_RULES) for hit in rule(robot)]
     profiles, wrong = _profiles(robot)
     found += wrong
@@ -65,8 +65,8 @@ def _profiles(robot: Robot) -> tuple[Profiles, list[Finding]]:
 
 
 def _profile(robot: Robot, drive: str) -> DriveProfile:
-    """By name, or by path from the robot file's folder, for the encoders that its joints have.
-    Raises ProfileError."""
+    """Return a profile by its name, or by its path from the robot file's folder, for the encoders
+    that its joints have. Raises ProfileError."""
     file = robot.path.parent / drive
     profile = load_profile(file) if is_file_name(drive) else find_profile(drive)
     encoders = encoders_of(robot, drive, profile)

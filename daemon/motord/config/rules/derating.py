@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold for the derating of a joint, and between it and its drive."""
+"""Rules for the derating of a joint, and between it and its drive."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from motord.config.sections.model import Robot
 
 
 def derating(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Whole pairs in their direction, of what the drive reports."""
+    """Check that limits come in pairs, in the right direction, and that the drive reports their
+    values."""
     for name, joint in robot.joint.items():
         if joint.derating is None:
             continue

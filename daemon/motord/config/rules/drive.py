@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between a robot file and the profiles of its drives."""
+"""Rules between a robot file and the profiles of its drives."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from motord.config.toml_lines import Path
 from motord.config.wiring import line_specs
 
 TRAVEL_PER_COUNT_USUAL_MM = (1e-5, 8.0)
-"""From an encoder of 22 bits on a geared motor to the Hall sensors of a hub motor."""
+"""Usual travel: from an encoder of 22 bits on a geared motor to the Hall sensors of a hub motor."""
 _ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
 _SPEAKS = {
     "ddsm": ("ddsm",),
@@ -48,7 +48,7 @@ _SPEAKS = {
     "feetech": ("feetech",),
     "dynamixel": ("dynamixel",),
 }
-"""The protocols of a line's kind; all others carry Modbus."""
+"""Protocols by the line's kind; all other kinds carry Modbus."""
 
 
 def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -78,8 +78,8 @@ def _protocol(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
-    """Motors that face each other turn in opposite directions; motors on one side turn in the
-    same."""
+    """Check that motors that face each other turn in opposite directions, and motors on one side in
+    the same."""
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
         if isinstance(robot.base, OmniBase | SteeredBase | JointsBase):
             return
@@ -170,14 +170,16 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _may_report_speed(line: AnyLine, joint: str) -> bool:
-    """A board that sends text reports what its template names, whatever its drives could."""
+    """Return whether a joint's speed may be reported: a board that sends text reports what its
+    template names, whatever its drives can."""
     if not isinstance(line, AsciiLine):
         return True
     return any(f"{{{joint}_{unit}" in (line.feedback or "") for unit in ("rad_s", "m_s"))
 
 
 def _resolution(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Where a count is much travel or nearly none, the counts or the gear are usually wrong."""
+    """Warn of a count that is much travel or nearly none: the counts or the gear are usually
+    wrong."""
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
         no_wheel = joint.steers or isinstance(robot.base, JointsBase)
@@ -196,7 +198,8 @@ def _resolution(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _edges(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """A drive that counts its speeds in encoder edges needs one number for all of its joints."""
+    """Check that a drive that counts its speeds in encoder edges has one number for all of its
+    joints."""
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
         counts = counts_per_turn(joint, profile)
@@ -216,7 +219,8 @@ def _edges(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Limits that the wheels cannot serve are no error: the core scales the twist down."""
+    """Warn of limits that the wheels cannot serve. They are no error: the core scales the twist
+    down."""
     if isinstance(robot.base, JointsBase):
         return
     joints = robot.joint.items()
@@ -225,8 +229,8 @@ def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     rows = {name: wheel_row(robot.base, joint) for name, joint in joints}
 
     def reach(parts: dict[str, float]) -> float:
-        """How fast the base can move along an axis, by the part of it that each rim's
-        speed is."""
+        """Return how fast the base can move along an axis. `parts`: each rim's speed, as a part of
+        the base's."""
         return min(
             (
                 _most(ranges[name], part) * radius[name] / abs(part)
@@ -258,7 +262,8 @@ def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _most(range_rad_s: tuple[float, float], part: float) -> float:
-    """A wheel's speed where the base moves along an axis by which it turns forward, or backward."""
+    """Return a wheel's highest speed in the direction in which it turns: forward for a positive
+    part."""
     return range_rad_s[1] if part > 0.0 else -range_rad_s[0]
 
 
@@ -308,7 +313,7 @@ def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _budget(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Rates that the file sets and the wire cannot carry are an error, defaults are not."""
+    """Report rates that the wire cannot carry: an error if the file sets them, else a warning."""
     for spec in line_specs(robot, profiles):
         if not spec.joints or spec.kind == "can":
             continue
@@ -394,8 +399,8 @@ _RULES: tuple[Rule, ...] = (
 
 
 def drive_rules(robot: Robot) -> Iterator[Rule]:
-    """The rules for its drives. Those for a CAN bus and for pins are read for robots that have them
-    only: every start of a program reads its robot file."""
+    """Yield the rules for the robot's drives. Those for a CAN bus and for pins are imported only
+    for robots that have them: every start of a program reads its robot file."""
     yield from _RULES
     lines, joints = robot.line.values(), robot.joint.values()
     if any(isinstance(line, CanLine) for line in lines) or any(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between [imu] and the rest of a robot file."""
+"""Rules between [imu] and the rest of a robot file."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from motord.config.sections.line import AsciiLine, McuLine
 from motord.config.sections.model import Robot
 
 SAMPLES_PER_TIMEOUT = 2.5
-"""Two may be lost, or late, before the wheels have to stand in."""
+"""Least number of samples in a timeout: two may be lost, or late, before the wheels give the
+heading."""
 
 
 def imu_axes(robot: Robot) -> Iterator[Finding]:
-    """Up and forward are two axes."""
+    """Check that up and forward are two axes."""
     imu = robot.imu
     if imu is not None and imu.up[-1] == imu.forward[-1]:
         at = (("imu", "forward"), ("imu", "up"))
@@ -23,7 +24,7 @@ def imu_axes(robot: Robot) -> Iterator[Finding]:
 
 
 def imu_line(robot: Robot) -> Iterator[Finding]:
-    """The line is there, and can carry a gyro."""
+    """Check that the line exists, and can carry a gyro."""
     imu = robot.imu
     if not isinstance(imu, LineImu):
         return
@@ -43,7 +44,8 @@ def imu_line(robot: Robot) -> Iterator[Finding]:
 
 
 def imu_rates(robot: Robot) -> Iterator[Finding]:
-    """Samples come often enough for their timeout, and not more often than the loop looks."""
+    """Check that samples come often enough for their timeout, and not more often than the loop
+    ticks."""
     imu = robot.imu
     if isinstance(imu, ChipImu):
         rate_hz, where = imu.rate_hz, ("imu", "rate_hz")

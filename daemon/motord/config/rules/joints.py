@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold for joints without a base, and between them and their drives."""
+"""Rules for joints without a base, and between them and their drives."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OF_VELOCITY = ("deceleration_max_rad_s2", "jerk_max_rad_s3")
 
 
 def _keys(robot: Robot) -> Iterator[Finding]:
-    """What only a base has, and what only joints without one have."""
+    """Check for keys that only a base has, or only joints without one."""
     if not isinstance(robot.base, JointsBase):
         for name, joint in robot.joint.items():
             for key in _OF_VELOCITY:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorder keeps in memory, and what of that has no room."""
+"""The memory of a recorder, and a rule for what has no room there."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from motord.config.sections.bus import McapPublish
 from motord.config.sections.model import Robot
 
 MEMORY_BYTES = 192_000_000
-"""Of all recorders together, of the 512 MiB that motord-bus has."""
+"""Memory of all recorders together, of the 512 MiB that motord-bus has."""
 MESSAGE_BYTES = 1000
-"""Of one message in memory, at most as a rule."""
+"""Memory of one message, at most as a rule."""
 JOURNAL_TICK_BYTES = 40
-"""Of one tick in the journal: docs/replay.md."""
+"""Memory of one tick in the journal: docs/replay.md."""
 
 
 def memory_bytes(robot: Robot) -> int:
-    """Of one recorder."""
+    """Return the memory that one recorder has."""
     return MEMORY_BYTES // max(1, len(list(_recorders(robot))))
 
 
 def memory_holds_the_time_before_a_fault(robot: Robot) -> Iterator[Finding]:
-    """A warning where it may not: how long messages are depends on the robot."""
+    """Warn if memory may not hold the time before a fault: how long messages are depends on the
+    robot."""
     for name, section in _recorders(robot):
         bytes_s = MESSAGE_BYTES * sum(section.rates_hz().values())
         if section.journal:

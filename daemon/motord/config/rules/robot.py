@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between the parts of a robot file."""
+"""Rules between the parts of a robot file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LINES_MAX = 4
 STOP_USUAL_M = 3.0
 """Braking distance of a fast delivery robot; small robots have less."""
 REST_RATIO_MAX = 1.5
-"""Between the stopping times of the two axes."""
+"""Largest usual ratio between the stopping times of the two axes."""
 
 
 def _joint_count(robot: Robot) -> Iterator[Finding]:
@@ -55,7 +55,8 @@ def _stops_in_time(robot: Robot) -> Iterator[Finding]:
 
 
 def _axes_stop_alike(robot: Robot) -> Iterator[Finding]:
-    """A stop keeps its curvature, so the slower axis sets the time of both."""
+    """Warn of an axis that stops slowly: a stop keeps its curvature, so that axis sets the time of
+    both."""
     linear_s, angular_s = robot.limits.axes_rest_s()
     fast_s, slow_s = sorted((linear_s, angular_s))
     if slow_s <= REST_RATIO_MAX * fast_s:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between the speed loop of a joint and its drive."""
+"""Rules between the speed loop of a joint and its drive."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ _ROUNDING = 1e-6
 
 
 def speed_loops(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """A torque needs a loop, a duty may have one, and a drive that holds the speed has its own."""
+    """Check that a drive that takes a torque has a loop; one that takes a duty may have one, and
+    one that holds the speed has its own."""
     for name, joint in robot.joint.items():
         profile = profiles[joint.drive]
         if takes_torque(joint, profile):
@@ -72,7 +73,7 @@ def _duty(name: str, joint: Joint, *, measured: bool) -> Iterator[Finding]:
 
 
 def _others(loop: Path, joint: Joint, keys: frozenset[str], takes: str) -> Iterator[Finding]:
-    """Keys in the unit of the other kind of drive."""
+    """Report keys in the unit of the other kind of drive."""
     assert joint.speed_loop is not None
     for key in sorted(keys & joint.speed_loop.model_fields_set):
         yield Finding(((*loop, key),), f"has the wrong unit: {takes}")

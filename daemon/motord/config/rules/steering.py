@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between a base with steered wheels, its joints and their drives."""
+"""Rules between a base with steered wheels, its joints and their drives."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from motord.config.toml_lines import Path
 from motord_hal.fieldbus.open_line import RT_CAN_INTERFACES
 
 _ANYWHERE_RAD = math.pi - 1e-3
-"""A wheel that also rolls backward points anywhere within half a turn."""
+"""Range of half a turn, less rounding: a wheel that also rolls backward points anywhere within
+it."""
 _SMALL_M = 1e-6
 _KEYS = ("position_min_rad", "position_max_rad", "acceleration_max_rad_s2", "zero_count")
 
@@ -33,7 +34,7 @@ def _at(joints: tuple[str, ...], key: str = "place") -> tuple[Path, ...]:
 
 
 def _keys(robot: Robot) -> Iterator[Finding]:
-    """A joint that steers has a range of angles, and no other joint has."""
+    """Check that each joint that steers has a range of angles, and no other joint has one."""
     for name, joint in robot.joint.items():
         if not joint.steers:
             for key in () if isinstance(robot.base, JointsBase) else _KEYS:
@@ -52,7 +53,7 @@ def _keys(robot: Robot) -> Iterator[Finding]:
 
 
 def _one_of_each(robot: Robot) -> Iterator[Finding]:
-    """At most one joint steers a wheel, and at most one drives it."""
+    """Check that at most one joint steers a wheel, and at most one drives it."""
     for module in wheel_modules(robot.base, robot.joint):
         for names, what in ((module.steering, "steer"), (module.traction, "drive")):
             if len(names) > 1:
@@ -92,8 +93,9 @@ def _car(robot: Robot) -> Iterator[Finding]:
 
 
 def _tightest(base: CarBase, steered: list[WheelModule], robot: Robot) -> Iterator[Finding]:
-    """Each steered wheel points across the line to the centre of the curve, which is on the fixed
-    axle (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3: the sliding constraint)."""
+    """Check that the steering reaches the tightest curve. Each steered wheel points across the line
+    to the centre of the curve, which is on the fixed axle (Siegwart & Nourbakhsh, Autonomous Mobile
+    Robots, 3.2.3: the sliding constraint)."""
     radius_m = base.turning_radius_m or 0.0
     for module, side in itertools.product(steered, (1.0, -1.0)):
         name = module.steering[0]
@@ -151,14 +153,15 @@ def _range(robot: Robot) -> Iterator[Finding]:
 
 
 def _engine(robot: Robot) -> Iterator[Finding]:
-    """Positions are carried by the engine in C alone, which sends none but those of the core."""
+    """Check the lines of joints that steer: only the engine in C carries positions, and no others
+    than the core's."""
     for name, joint in robot.joint.items():
         if joint.steers:
             yield from engine_for_positions(robot, name, f"joint {name} steers")
 
 
 def engine_for_positions(robot: Robot, name: str, what: str) -> Iterator[Finding]:
-    """Why the line of a joint that takes positions cannot carry them."""
+    """Report why the line of a joint that takes positions cannot carry them."""
     joint = robot.joint[name]
     line = robot.line.get(joint.line)
     where = (("line", joint.line, "engine"), ("joint", name, "line"))
@@ -173,7 +176,8 @@ def engine_for_positions(robot: Robot, name: str, what: str) -> Iterator[Finding
 
 
 def _drives(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """What steers takes positions that mean the same each time; what rolls takes none."""
+    """Check that joints that steer take positions that mean the same each time, and other joints
+    take no positions."""
     if isinstance(robot.base, JointsBase):
         return
     for name, joint in robot.joint.items():

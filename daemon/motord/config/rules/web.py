@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may see the dashboard, and who may command by it."""
+"""Rules on which pages may see the dashboard, and which of them may command by it."""
 
 from __future__ import annotations
 

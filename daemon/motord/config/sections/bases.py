@@ -2,9 +2,8 @@
 """Bases: where their wheels are, and how each rolls for a motion of the base.
 
 The base's frame is that of REP 103: x forward, y to the left, angles counterclockwise from x. A
-wheel's row says its rim's speed: x linear + y lateral + lever_m angular (Lynch & Park, Modern
-Robotics, 2017, 13.2, equation 13.5 with the wheel's radius left out).
-"""
+wheel's row gives its rim's speed: x linear + y lateral + lever_m angular (Lynch & Park, Modern
+Robotics, 2017, 13.2, equation 13.5 with the wheel's radius left out)."""
 
 from __future__ import annotations
 
@@ -19,12 +18,12 @@ if TYPE_CHECKING:
 
 Place = Literal["front-left", "front-right", "rear-left", "rear-right", "front", "rear"]
 PLACES: tuple[Place, ...] = ("front-left", "front-right", "rear-left", "rear-right")
-"""The corners."""
+"""The four corners."""
 _SAME_PLACE_M = 1e-6
 
 
 class WheelRow(NamedTuple):
-    """Speed of the rim, by the axes of the base's twist."""
+    """Speed of the rim for 1 of each axis of the base's twist."""
 
     x: float
     y: float
@@ -32,7 +31,8 @@ class WheelRow(NamedTuple):
 
 
 class WheelPlace(NamedTuple):
-    """Where a wheel meets the floor, and where it rolls to when its speed is positive."""
+    """Where a wheel meets the floor, and the direction in which it rolls when its speed is
+    positive."""
 
     x_m: float
     y_m: float
@@ -45,18 +45,18 @@ class WheelModule(NamedTuple):
     x_m: float
     y_m: float
     steering: tuple[str, ...]
-    """One, or none of a wheel that is fixed; more are a mistake in the robot file."""
+    """One joint, or no joint if the wheel is fixed; more are a mistake in the robot file."""
     traction: tuple[str, ...]
 
 
 class Base(Section):
-    """What every base has."""
+    """Settings that every base has."""
 
     wheel_radius_m: float = number("radius of the wheels, loaded", 0.005, 5, "m")
 
     @property
     def strafes(self) -> bool:
-        """It moves sideways too."""
+        """Whether the base moves sideways, too."""
         return False
 
 
@@ -67,7 +67,7 @@ class TwoSidedBase(Base):
 
     @property
     def effective_track_m(self) -> float:
-        """The track that turning feels."""
+        """The track that counts in a turn."""
         return self.track_m
 
 
@@ -114,7 +114,7 @@ class MecanumBase(Base):
 
     @property
     def strafes(self) -> bool:
-        """It moves sideways too."""
+        """Whether the base moves sideways, too."""
         return True
 
 
@@ -126,7 +126,7 @@ class OmniBase(Base):
 
     @property
     def track_m(self) -> float:
-        """Across the base, from wheel to wheel."""
+        """Distance across the base, from wheel to wheel."""
         return 2.0 * self.radius_m
 
     @property
@@ -136,12 +136,12 @@ class OmniBase(Base):
 
     @property
     def strafes(self) -> bool:
-        """It moves sideways too."""
+        """Whether the base moves sideways, too."""
         return True
 
 
 class SteeredBase(Base):
-    """What every base with steered wheels has."""
+    """Geometry that every base with steered wheels has."""
 
     track_m: float = number("distance of the left wheels from the right ones", 0.02, 20, "m")
     wheelbase_m: float = number("distance of the front axle from the rear one", 0.02, 20, "m")
@@ -177,7 +177,7 @@ class SwerveBase(SteeredBase):
 
     @property
     def strafes(self) -> bool:
-        """It moves sideways too."""
+        """Whether the base moves sideways, too."""
         return True
 
 
@@ -189,22 +189,22 @@ class JointsBase(Section):
 
     @property
     def wheel_radius_m(self) -> float:
-        """No joint rolls on anything: 0."""
+        """0: no joint rolls on anything."""
         return 0.0
 
     @property
     def track_m(self) -> float:
-        """There is none: 0."""
+        """0: there is no track."""
         return 0.0
 
     @property
     def effective_track_m(self) -> float:
-        """There is none: 0."""
+        """0: there is no track."""
         return 0.0
 
     @property
     def strafes(self) -> bool:
-        """It does not move at all."""
+        """False: there is no base that moves."""
         return False
 
 
@@ -212,7 +212,7 @@ AnyBase = DifferentialBase | SkidBase | MecanumBase | OmniBase | CarBase | Swerv
 
 
 def _corner(base: SteeredBase, joint: Joint) -> tuple[float, float]:
-    """Where a place is, in m."""
+    """Return the place of a joint at its corner or axle, in m."""
     place = joint.place or "front"
     across = place.partition("-")[2]
     y_m = {"left": base.track_m / 2.0, "right": -base.track_m / 2.0}.get(across, 0.0)
@@ -224,8 +224,8 @@ def _corner(base: SteeredBase, joint: Joint) -> tuple[float, float]:
 
 
 def wheel_modules(base: AnyBase, joints: Mapping[str, Joint]) -> list[WheelModule]:
-    """The wheels of a base with steered wheels, each with the joints at its place; none of another
-    base."""
+    """Return the wheels of a base with steered wheels, each with the joints at its place; empty for
+    another base."""
     found: list[WheelModule] = []
     for name, joint in joints.items() if isinstance(base, SteeredBase) else ():
         place = wheel_place(base, joint)
@@ -242,8 +242,8 @@ def wheel_modules(base: AnyBase, joints: Mapping[str, Joint]) -> list[WheelModul
 
 
 def wheel_place(base: AnyBase, joint: Joint) -> WheelPlace:
-    """Wheels of two sides are beside the middle: where along the base makes no difference. Without
-    a base a joint has no place."""
+    """Return the place of a wheel. Wheels of two sides are beside the middle: their place along the
+    base makes no difference. Without a base, a joint's place is 0."""
     if isinstance(base, JointsBase):
         return WheelPlace(0.0, 0.0, 0.0)
     if isinstance(base, SteeredBase):
@@ -265,10 +265,10 @@ def wheel_place(base: AnyBase, joint: Joint) -> WheelPlace:
 
 
 def wheel_row(base: AnyBase, joint: Joint) -> WheelRow:
-    """Two sides: Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3. Mecanum: Taheri, Qiao and
-    Ghaeminezhad, Kinematic Model of a Four Mecanum Wheeled Mobile Robot, 2015, equation 20. Omni:
-    the speed of the floor along the rolling direction. Of a wheel that is steered: the most that
-    each axis does, for the core has its equations by its angle."""
+    """Return the row of a wheel. Two sides: Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3.
+    Mecanum: Taheri, Qiao and Ghaeminezhad, Kinematic Model of a Four Mecanum Wheeled Mobile Robot,
+    2015, equation 20. Omni: the speed of the floor along the rolling direction. Steered wheel: the
+    most that each axis does, because the core computes its speed from its angle."""
     if isinstance(base, JointsBase):
         return WheelRow(0.0, 0.0, 0.0)
     place = wheel_place(base, joint)
@@ -289,7 +289,7 @@ def wheel_row(base: AnyBase, joint: Joint) -> WheelRow:
 
 
 def side_of(base: AnyBase, joint: Joint) -> Literal["left", "right"]:
-    """The side of the base that a wheel is on; one in the middle counts as right."""
+    """Return the side of the base that a wheel is on; one in the middle counts as right."""
     if isinstance(base, OmniBase | SteeredBase):
         return "left" if wheel_place(base, joint).y_m > 1e-9 else "right"
     if isinstance(base, MecanumBase):
@@ -298,5 +298,6 @@ def side_of(base: AnyBase, joint: Joint) -> Literal["left", "right"]:
 
 
 def _rounded(part: float) -> float:
-    """A wheel that rolls straight on has nothing to do with sideways."""
+    """Return 0 instead of a rounding error: a wheel that rolls straight on does not move
+    sideways."""
     return 0.0 if abs(part) < 1e-12 else part

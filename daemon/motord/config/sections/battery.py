@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[battery]: what measures it, and when it is low."""
+"""[battery]: how it is measured, and when it is low."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class DrivesBattery(Battery):
 
     source: Literal["drives"]
     joints: tuple[str, ...] = Field(default=(), strict=False)
-    """Whose drives; none: all that measure a voltage."""
+    """Joints whose drives are read; none: all that measure a voltage."""
     voltage_from: Reading | None = None
     """The register that measures the pack's voltage, instead of the lowest supply voltage."""
     current_from: Reading | None = None
@@ -61,13 +61,13 @@ class DrivesBattery(Battery):
 
     @property
     def readings(self) -> dict[str, str]:
-        """By key, those that are given."""
+        """The readings that are given, by key."""
         given = {key: getattr(self, key) for key in READING_UNITS}
         return {key: where for key, where in given.items() if where is not None}
 
 
 class InaBattery(Battery):
-    """A power monitor of Texas Instruments on an I2C bus, its IN+ at the battery."""
+    """A power monitor of Texas Instruments on an I2C bus, with its IN+ at the battery."""
 
     source: Literal["ina219", "ina226", "ina228", "ina238"]
     bus: str
@@ -77,6 +77,7 @@ class InaBattery(Battery):
     )
     shunt_ohm: float = number("resistance between IN+ and IN-", 1e-5, 10, "Ω", 0.1)
     inverted: bool = False
-    """IN- is at the battery."""
+    """Whether IN- is at the battery, and not IN+."""
     chip_at_pack: bool = False
-    """The chip (ina228, ina238) is as warm as the pack: its temperature is the battery's."""
+    """Whether the chip (ina228, ina238) is as warm as the pack: then its temperature is the
+    battery's."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Buses of the robot file: where the state goes, and where commands come from. One section a
+"""Buses of the robot file: where the state goes, and where commands come from. One class for each
 kind."""
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Topic = Literal[
 ]
 SLOW_HZ = 1.0
 SLOW: frozenset[Topic] = frozenset(("battery_state", "diagnostics", "loop_statistics"))
-"""What changes slowly: at most SLOW_HZ where no rate of its own is given."""
+"""Topics that change slowly: at most SLOW_HZ where no rate of their own is given."""
 ALL_TOPICS: tuple[Topic, ...] = (
     *("odom", "tf", "joint_states", "imu", "battery_state"),
     *("diagnostics", "motor_status", "loop_statistics"),
@@ -28,13 +28,13 @@ ALL_TOPICS: tuple[Topic, ...] = (
 _NAME = r"[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*\.?"
 _IPV6 = r"[0-9A-Fa-f]{0,4}:[0-9A-Fa-f:]{1,40}(\.[0-9]{1,3}){0,3}(%[A-Za-z0-9_-]{1,15})?"
 HOST = rf"^({_NAME}|{_IPV6})$"
-"""A name or an address; what getaddrinfo raises UnicodeError for is refused."""
+"""Pattern of a name or an address; names for which getaddrinfo raises UnicodeError are refused."""
 ROUTER = rf"^(tcp|tls)/(\[[0-9A-Fa-f:]+\]|{_NAME}):[0-9]{{1,5}}$"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 class Publish(Section):
-    """Where the robot's state goes."""
+    """A destination of the robot's state."""
 
     rate_hz: float = number("messages a second at most", 0.01, 1000, "Hz", 10.0)
 
@@ -55,18 +55,18 @@ class UdpPublish(Publish):
 
 
 class BusPublish(Publish):
-    """Where the second process publishes, topic by topic."""
+    """A destination to which the second process publishes, topic by topic."""
 
     topics: tuple[Topic, ...] = Field(default=ALL_TOPICS, strict=False)
-    """What is published: all, unless topics are named."""
+    """Topics that are published; all by default."""
     topic_rate_hz: dict[Topic, Annotated[float, Field(ge=0.01, le=1000)]] = Field(
         default_factory=dict
     )
-    """Rates of single topics, in Hz. Where none is given: rate_hz, and for battery_state,
-    diagnostics and loop_statistics at most 1 Hz."""
+    """Rates of single topics, in Hz. A topic without one has rate_hz, but battery_state,
+    diagnostics and loop_statistics then have at most 1 Hz."""
 
     def rates_hz(self) -> dict[str, float]:
-        """The rate of each topic that is published."""
+        """Return the rate of each topic that is published."""
         slow_hz = min(self.rate_hz, SLOW_HZ)
         return {
             topic: self.topic_rate_hz.get(topic, slow_hz if topic in SLOW else self.rate_hz)
@@ -75,7 +75,7 @@ class BusPublish(Publish):
 
 
 class BusInput(Section):
-    """Which inputs may command by the second process."""
+    """An input whose commands come by the second process."""
 
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
     lease_s: float = number("lifetime of a command", 0.02, 5, "s", 0.3)
@@ -85,15 +85,15 @@ class BusInput(Section):
 
 
 class StampedInput(BusInput):
-    """Commands with a stamp."""
+    """An input whose commands have a stamp."""
 
     stamped: bool = True
-    """Every command has to say when it was given, so that one that waited somewhere is known by its
-    age. The clocks of both have to agree; false: what arrives counts as new."""
+    """Whether every command must contain the time at which it was given, so that a delayed command
+    is recognized by its age. Both clocks have to agree; false: what arrives counts as new."""
 
 
 class TokenInput(StampedInput):
-    """Commands from a network: only with the token."""
+    """An input from a network, whose commands need the token."""
 
     token_file: str = Field(min_length=1)
     """File with the token that every command has to show; at least 16 characters, readable by the
@@ -101,34 +101,33 @@ class TokenInput(StampedInput):
 
 
 class MqttBroker(Section):
-    """Where the broker is, and our account there."""
+    """Address of the broker, and motord's account there."""
 
     host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """The broker's name or address."""
     port: int | None = number("TCP port; 8883 with TLS, else 1883", 1, 65535, "1", None)
     tls: bool = False
-    """Encrypted, and the broker's certificate is checked."""
+    """Whether the connection is encrypted and the broker's certificate is checked."""
     ca_file: str | None = None
-    """Certificates of the authority that the broker's is checked against; the system's otherwise.
-    """
+    """Certificates of the authority against which the broker's certificate is checked; by default
+    the system's."""
     cert_file: str | None = None
-    """Our own certificate, for a broker that requires one."""
+    """motord's own certificate, for a broker that requires one."""
     key_file: str | None = None
     """Key of cert_file."""
     username: str | None = None
-    """Our name there."""
+    """Name of motord's account at the broker."""
     password_file: str | None = None
-    """File with our password, readable by the daemon's user alone."""
+    """File with the account's password, readable by the daemon's user alone."""
     topic_prefix: str | None = Field(default=None, pattern=r"^[^+#\s/][^+#\s]*[^+#\s/]$")
-    """What every topic begins with; where it is not given motord/ROBOT, and spBv1.0 in Sparkplug's
-    names."""
+    """Beginning of every topic; by default motord/ROBOT, and spBv1.0 with Sparkplug's names."""
     topic_scheme: Literal["plain", "sparkplug"] = "plain"
-    """How topics are named: PREFIX/odom, or as Sparkplug has it PREFIX/GROUP/DDATA/ROBOT/odom with
+    """Names of topics: "plain" is PREFIX/odom, "sparkplug" is PREFIX/GROUP/DDATA/ROBOT/odom with
     births and deaths. The messages are the same."""
     group: str | None = Field(default=None, pattern=r"^[^+#\s/]+$")
-    """Sparkplug's group; motord where it is not given."""
+    """Sparkplug's group; motord by default."""
     encoding: Literal["json", "cbor"] = "json"
-    """Of the messages."""
+    """Encoding of the messages."""
 
 
 class MqttPublish(BusPublish, MqttBroker):
@@ -145,7 +144,7 @@ class MqttInput(TokenInput, MqttBroker):
 
 
 class PrometheusPublish(Publish):
-    """Figures for Prometheus: GET /metrics. They are those of the moment of asking."""
+    """Figures for Prometheus: GET /metrics. They are those of the moment of the request."""
 
     kind: Literal["prometheus"]
     host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
@@ -158,11 +157,11 @@ class McapPublish(BusPublish):
 
     kind: Literal["mcap"]
     folder: str = Field(min_length=1)
-    """Where the files go; it is made where it is not there. A path that is not absolute is beside
+    """Folder of the files; it is made if it does not exist. A path that is not absolute is beside
     the robot file."""
     mode: Literal["all", "fault", "manual"] = "all"
-    """Record all; or keep the newest in memory and write it when a fault is latched; or record only
-    from start to stop on the dashboard."""
+    """What is recorded: all; or the newest in memory, which is written when a fault is latched; or
+    only from start to stop on the dashboard."""
     file_s: float = number("a new file after this time (not in mode fault)", 1, 86400, "s", 600.0)
     before_s: float = number("what a fault's file holds from before it", 1, 600, "s", 60.0)
     after_s: float = number("what a fault's file holds from after it", 0, 60, "s", 5.0)
@@ -170,7 +169,7 @@ class McapPublish(BusPublish):
         "the oldest files are deleted when all together are larger", 1, 10_000_000, "MB", 1000
     )
     journal: bool = False
-    """Record also what goes into the core and comes out in every tick, for `motord replay`."""
+    """Record also the core's input and output of every tick, for `motord replay`."""
     free_min_mb: int = number(
         "nothing is written when less of the disk is free", 0, 10_000_000, "MB", 200
     )
@@ -182,7 +181,7 @@ class Server(BusPublish):
     host: str = Field(default="127.0.0.1", pattern=HOST, max_length=253)
     """Address to listen at; this machine only by default."""
     cert_file: str | None = None
-    """Our certificate, for TLS (wss)."""
+    """motord's certificate, for TLS (wss)."""
     key_file: str | None = None
     """Key of cert_file."""
 
@@ -240,7 +239,7 @@ class WebServer(Section):
     user alone. A path that is not absolute is beside the robot file. Pages of this machine may
     watch without it."""
     cert_file: str | None = None
-    """Our certificate, for TLS (https)."""
+    """motord's certificate, for TLS (https)."""
     key_file: str | None = None
     """Key of cert_file."""
     behind_proxy: bool = False
@@ -266,8 +265,8 @@ class WebInput(WebServer, BusInput):
         "a pad that sends nothing for this long is released", 0.1, 0.3, "s", 0.3
     )
     trust_loopback: bool = False
-    """Pages of this machine may command without a token: every user of it may. Set it to confirm
-    that this is meant."""
+    """Pages on this machine may command without a token, and so may every user of it. Set it to
+    confirm that this is meant."""
 
 
 class JoystickInput(BusInput):
@@ -275,7 +274,7 @@ class JoystickInput(BusInput):
 
     kind: Literal["joystick"]
     device: str = Field(min_length=1)
-    """Its file (/dev/input/by-id/...-event-joystick), or a part of the name that it has."""
+    """Device file (/dev/input/by-id/...-event-joystick), or a part of the joystick's name."""
     dead_man: str = Field(default="BTN_TL", pattern=r"^BTN_[A-Z0-9_]+$")
     """Button to be held, by the kernel's name."""
     estop_button: str | None = Field(default=None, pattern=r"^BTN_[A-Z0-9_]+$")
@@ -283,9 +282,9 @@ class JoystickInput(BusInput):
     linear_axis: str = Field(default="ABS_Y", pattern=r"^ABS_[A-Z0-9_]+$")
     """Axis of the speed: away from you is forward."""
     angular_axis: str = Field(default="ABS_X", pattern=r"^ABS_[A-Z0-9_]+$")
-    """Axis of the turn rate: to the left is a left turn."""
+    """Axis of the turn rate: to the left turns left."""
     lateral_axis: str | None = Field(default=None, pattern=r"^ABS_[A-Z0-9_]+$")
-    """Axis of the speed sideways, of a base that moves so: to the left is to the left."""
+    """Axis of the speed sideways, on a base that moves so: to the left moves to the left."""
     linear_m_s: float = number("speed at the end of the axis", 0.001, 50, "m/s", 0.3)
     lateral_m_s: float = number("speed at the end of lateral_axis", 0.001, 50, "m/s", 0.3)
     angular_rad_s: float = number("turn rate at the end of the axis", 0.001, 100, "rad/s", 0.6)
@@ -302,12 +301,12 @@ class RosNode(Section):
 
     domain_id: int = number("ROS_DOMAIN_ID of the nodes that are to see motord", 0, 232, "1", 0)
     namespace: str = Field(default="/", pattern=r"^/([A-Za-z]\w*(/[A-Za-z]\w*)*)?$")
-    """Goes before the name of every topic and service."""
+    """Prefix of the name of every topic and service."""
     node_name: str = Field(default="motord", pattern=r"^[A-Za-z]\w*$")
     """Name of the node."""
     distribution: Literal["humble", "jazzy"] = "jazzy"
-    """Of the nodes that are to see this one: Humble has another graph, and over Zenoh other keys.
-    Iron and later are as Jazzy."""
+    """ROS 2 distribution of the nodes that are to see this one: Humble has another graph, and over
+    Zenoh other keys. Iron and later are as Jazzy."""
     remap: dict[RosName, RosName] = Field(default_factory=dict)
     """Topics and services of this section that have another name: cmd_vel = "/cmd_vel_safe". Names
     as everywhere in ROS 2: below the namespace, below the node (~/), or as they are (/)."""
@@ -318,10 +317,11 @@ class Ros2Node(RosNode):
 
     discovery: Literal["localhost", "subnet"] = "localhost"
     """Where other nodes see this one: on this machine (run them with
-    ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or in the networks that it is connected to."""
+    ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST), or in the networks to which the machine is
+    connected."""
     interface: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]{1,15}$")
-    """The one network interface to use, by name (discovery subnet); where it is not given, what the
-    DDS library chooses."""
+    """The one network interface to use, by name (discovery subnet); by default the DDS library
+    chooses."""
 
 
 class ZenohNode(RosNode):
@@ -330,20 +330,20 @@ class ZenohNode(RosNode):
     router: str = Field(default="tcp/127.0.0.1:7447", pattern=ROUTER)
     """Where the router (rmw_zenohd) is: tcp/HOST:PORT, or tls/HOST:PORT."""
     ca_file: str | None = None
-    """Certificates of the authority that the router's is checked against (tls)."""
+    """Certificates of the authority against which the router's certificate is checked (tls)."""
     cert_file: str | None = None
-    """Our own certificate, for a router that requires one (tls)."""
+    """motord's own certificate, for a router that requires one (tls)."""
     key_file: str | None = None
     """Key of cert_file."""
 
     @property
     def router_host(self) -> str:
-        """Of `router`."""
+        """Host of `router`."""
         return self.router.partition("/")[2].rpartition(":")[0].strip("[]")
 
     @property
     def encrypted(self) -> bool:
-        """The connection to the router is."""
+        """Whether the connection to the router is encrypted."""
         return self.router.startswith("tls/")
 
 
@@ -354,14 +354,14 @@ class RosTopics(BusPublish, RosNode):
     """tf and tf_static are below the namespace, for listeners that remap /tf to tf. Otherwise they
     are /tf and /tf_static, where tf2 listens."""
     frame_prefix: str | None = Field(default=None, pattern=r"^([A-Za-z][A-Za-z0-9_/]*)?$")
-    """Goes before each frame name, as in "r2/" for r2/odom and r2/base_link. Where it is not given:
-    the namespace, or nothing with namespaced_tf."""
+    """Prefix of each frame name, as "r2/" for r2/odom and r2/base_link. By default it is the
+    namespace, or nothing with namespaced_tf."""
     urdf_file: str | None = None
-    """Robot description that is published; one made from the robot file where it is not given. A
-    path that is not absolute is beside the robot file."""
+    """Robot description that is published; by default one made from the robot file. A path that is
+    not absolute is beside the robot file."""
 
     def prefix_of_frames(self) -> str:
-        """`frame_prefix`, or what follows from the namespace."""
+        """Return `frame_prefix`, or the prefix that follows from the namespace."""
         if self.frame_prefix is not None:
             return self.frame_prefix
         space = self.namespace.strip("/")
@@ -392,12 +392,13 @@ class Ros2Input(StampedInput, Ros2Node):
 
 
 class ZenohInput(StampedInput, ZenohNode):
-    """As kind ros2, from ROS 2 nodes on Zenoh, whose service calls reach motord, too."""
+    """Commands as with kind ros2, from ROS 2 nodes on Zenoh, whose service calls reach motord,
+    too."""
 
     kind: Literal["ros2-zenoh"]
     trust_router: bool = False
-    """Every client that the router admits may move the robot, also when it is on this machine: it
-    listens to the network by default. Set it to confirm that this is meant."""
+    """Every client that the router admits may move the robot, even if the router is on this
+    machine: it listens to the network by default. Set it to confirm that this is meant."""
 
 
 class RclpyInput(BusInput):

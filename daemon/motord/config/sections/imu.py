@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[imu]: what measures how fast the base turns, and how far it is trusted."""
+"""[imu]: the sensor that measures how fast the base turns, and how far it is trusted."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[limits]: speed, acceleration, deceleration and jerk of each axis, and what a stop takes."""
+"""[limits]: speed, acceleration, deceleration and jerk of each axis, and how long a stop takes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from motord.config.sections.section import Section, number, numbers_of
 
 
 class Limits(Section):
-    """What the base may do at most. They can be changed while the daemon runs."""
+    """Limits of the base's motion. They can be changed while the daemon runs."""
 
     linear_m_s: float = number("speed", 0.001, 50, "m/s", 0.5)
     linear_m_s2: float = number("acceleration", 0.001, 100, "m/s²", 0.5)
@@ -62,11 +62,11 @@ class Limits(Section):
     )
 
     def linear_rest_s(self, linear_m_s: float) -> float:
-        """How long a stop takes from this speed on a straight line."""
+        """Return how long a stop takes from this speed on a straight line."""
         return braking_s(linear_m_s, self.linear_deceleration_m_s2, self.linear_m_s3)
 
     def axes_rest_s(self) -> tuple[float, float]:
-        """How long each axis alone takes from full speed to rest: linear, angular."""
+        """Return how long each axis alone takes from full speed to rest: linear, angular."""
         linear_s = self.linear_rest_s(self.linear_m_s)
         angular_s = braking_s(
             self.angular_rad_s, self.angular_deceleration_rad_s2, self.angular_rad_s3
@@ -81,11 +81,11 @@ class Limits(Section):
         *,
         strafes: bool,
     ) -> float:
-        """How long a stop takes at most: from full speed, or from these where they are more.
-        `strafes`: the base moves sideways too."""
+        """Return how long a stop takes at most: from full speed, or from these speeds if they are
+        higher. `strafes`: whether the base moves sideways, too."""
         linear = max(self.linear_m_s, abs(linear_m_s))
         angular = max(self.angular_rad_s, abs(angular_rad_s))
-        # all axes keep to one straight line: shares of it, by the axis that has the least room
+        # all axes slow down in proportion: the weakest one sets both, as shares of its full speed
         deceleration = min(
             self.linear_deceleration_m_s2 / linear, self.angular_deceleration_rad_s2 / angular
         )
@@ -98,13 +98,14 @@ class Limits(Section):
 
 
 LATERAL_KEYS = frozenset(key for key in numbers_of(Limits) if key.startswith("lateral_"))
-"""Of a base that moves sideways; the others have no such limits."""
+"""Keys of a base that moves sideways; other bases have no such limits."""
 REST_MAX_S = 20.0
-"""A stop that takes longer is refused."""
+"""Longest stop; limits by which a stop takes longer are refused."""
 
 
 def braking_s(velocity: float, deceleration: float, jerk: float) -> float:
-    """From a velocity to rest: the deceleration rises by the jerk, and may not get to its limit."""
+    """Return the time from a velocity to rest. The deceleration rises by the jerk, and may not get
+    to its limit."""
     if velocity * jerk < deceleration**2:
         return 2.0 * math.sqrt(velocity / jerk)
     return velocity / deceleration + deceleration / jerk

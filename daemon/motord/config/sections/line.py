@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lines of a robot file: one section a kind."""
+"""The lines of a robot file: one class for each kind."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ Cpus = tuple[Annotated[int, Field(ge=0, le=63)], ...]
 
 
 class Line(Section):
-    """What every line has."""
+    """Settings that every line has."""
 
     baudrate: int = number("bits a second on the wire", 1200, 4_500_000, "1/s", 115200)
     parity: Literal["none", "even", "odd"] = "none"
     stop_bits: int = number("stop bits", 1, 2, "1", 1)
     engine: Literal["auto", "asyncio", "rt"] = "auto"
-    """What does the cyclic exchange: a real-time thread (rt, serial ports only) or asyncio."""
+    """Engine of the cyclic exchange: a real-time thread (rt, serial ports only) or asyncio."""
     cycle_hz: float = number(
         "exchanges a second with every drive, if possible", 1, 1000, "Hz", 50.0
     )
@@ -30,8 +30,8 @@ class SerialLine(Line):
     """Device file (/dev/serial/by-id/... names the same adapter after every start), or usb:SERIAL
     for the adapter with that serial number."""
     gap: Literal["spec", "3.5char"] | None = None
-    """Silence between frames by rule: spec is the standard's (Modbus over serial line V1.02,
-    2.5.1.1), 3.5char keeps 3.5 characters at any baud rate; the drives' where it is not given."""
+    """Rule for the silence between frames: spec is the standard's (Modbus over serial line V1.02,
+    2.5.1.1), 3.5char keeps 3.5 characters at any baud rate; by default the drives' rule."""
     gap_s: float | None = number(
         "silence between frames; the drive's or the standard's where it is not given (Modbus over "
         "serial line V1.02, 2.5.1.1)",
@@ -41,10 +41,10 @@ class SerialLine(Line):
         None,
     )
     direction: Literal["auto", "kernel", "gpio"] = "auto"
-    """What switches the transceiver to sending: the adapter itself, the UART's driver (by RTS), or
-    the line's thread by a GPIO line."""
+    """How the transceiver is switched to sending: by the adapter itself, by the UART's driver
+    (RTS), or by the line's thread with a GPIO line."""
     direction_active_high: bool = True
-    """The level of RTS or of the GPIO line while talking."""
+    """Whether RTS or the GPIO line is high while sending."""
     direction_before_s: float = number("from talking to the first bit", 0, 0.01, "s", 0.0)
     direction_after_s: float = number("from the last bit to listening", 0, 0.01, "s", 0.0)
     direction_gpio_chip: str | None = None
@@ -65,7 +65,7 @@ class SerialLine(Line):
 
     @property
     def address(self) -> str:
-        """Where it is plugged in."""
+        """The port, as in the robot file."""
         return self.port
 
 
@@ -92,8 +92,9 @@ class DynamixelLine(SerialLine):
 
     kind: Literal["dynamixel"]
     fast_sync_read: bool = False
-    """All servos answer a cycle's read in one packet, which saves most of the wire's time. Their
-    firmware has to know instruction 0x8A; while one of them fails, each answers for itself."""
+    """Whether all servos answer a cycle's read in one packet, which saves most of the wire's time.
+    Their firmware has to know instruction 0x8A; while one of them fails, each answers for
+    itself."""
 
 
 class GatewayLine(Line):
@@ -105,7 +106,7 @@ class GatewayLine(Line):
 
     @property
     def address(self) -> str:
-        """HOST:PORT."""
+        """The gateway as HOST:PORT."""
         return f"{self.host}:{self.tcp_port}"
 
 
@@ -129,7 +130,7 @@ class CanLine(Section):
     """The kind of adapter, as python-can names it: socketcan, slcan, kvaser, udp_multicast, ...; or
     unix, a socket that carries SocketCAN's frames."""
     channel: str = Field(min_length=1)
-    """Which one: network interface (can0), serial port (/dev/ttyACM0), GROUP:PORT of UDP, a
+    """The bus: network interface (can0), serial port (/dev/ttyACM0), GROUP:PORT of UDP, or a
     path."""
     bitrate: int = number(
         "bits a second; on socketcan as the interface was set up", 10_000, 1_000_000, "1/s", 500_000
@@ -142,7 +143,7 @@ class CanLine(Section):
         None,
     )
     engine: Literal["auto", "asyncio", "rt"] = "auto"
-    """What does the cyclic exchange; auto: rt on socketcan and unix, asyncio on other adapters."""
+    """Engine of the cyclic exchange; auto: rt on socketcan and unix, asyncio on other adapters."""
     cycle_hz: float = number("set-points a second for every drive", 1, 1000, "Hz", 100.0)
     priority: int = number(
         "SCHED_FIFO priority of the line's thread (rt), below the loop's; 0: ordinary scheduling",
@@ -156,7 +157,7 @@ class CanLine(Section):
 
     @property
     def address(self) -> str:
-        """INTERFACE:CHANNEL."""
+        """The bus as INTERFACE:CHANNEL."""
         return f"{self.interface}:{self.channel}"
 
     @property
@@ -166,17 +167,17 @@ class CanLine(Section):
 
     @property
     def parity(self) -> Literal["none"]:
-        """A CAN bus has none."""
+        """Always none: a CAN bus has no parity."""
         return "none"
 
     @property
     def stop_bits(self) -> int:
-        """As other lines have at least."""
+        """Always 1, the least that other lines have."""
         return 1
 
 
 class PortLine(Line):
-    """One device alone on a serial port of this machine, without a transceiver to turn."""
+    """One device alone on a serial port of this machine, without a transceiver to switch."""
 
     port: str = Field(min_length=1)
     """Device file (/dev/serial/by-id/... names the same board after every start), or usb:SERIAL
@@ -184,7 +185,7 @@ class PortLine(Line):
 
     @property
     def address(self) -> str:
-        """Where it is plugged in."""
+        """The port, as in the robot file."""
         return self.port
 
 
@@ -208,15 +209,15 @@ class AsciiLine(PortLine):
     """Text of the set-points: a field for each joint, as {left:.2f} or {left:d}; {left_m_s} and
     the like for the speed of the wheel's rim; or {v} and {w} for the base's m/s and rad/s."""
     prefix: str = Field(default="", max_length=200)
-    """Text that goes out as it is before the set-points of every cycle: what switches feedback or a
-    time-out of the board on, and is lost when it restarts."""
+    """Text that is sent unchanged before the set-points of every cycle. It switches feedback or a
+    time-out of the board on, which the board forgets when it restarts."""
     feedback: str | None = None
     """Text of the board's feedback, as "{left_count},{right_count}" with fields JOINT_count,
     JOINT_rad_s, JOINT_m_s, JOINT_m, JOINT_current_a and voltage_v; a JSON object is read by the
     names of its members; none: the board sends nothing."""
     feedback_scale: dict[str, Annotated[float, Field(gt=0, le=1e9)]] = Field(default_factory=dict)
-    """Field of the feedback: its number for 1 of its unit, as voltage_v = 100 where 11.5 V are sent
-    as 1150."""
+    """Number that the board sends for 1 of a field's unit, by field: voltage_v = 100 where 11.5 V
+    are sent as 1150."""
     scale: float = number(
         "a joint's number for a set-point of 1 (motor rad/s, or full duty): 255 for duties to 255",
         1e-6,
@@ -248,13 +249,13 @@ class PwmLine(Section):
     gpio_chip: str | None = None
     """Label of the GPIO chip, as pinctrl-rp1, or its device file."""
     software_pwm: bool = False
-    """A PWM chip will do whose pulses the kernel makes by timer interrupts (pwm-gpio)."""
+    """Whether a PWM chip will do whose pulses the kernel makes by timer interrupts (pwm-gpio)."""
     pwm_hz: float | None = number(
         "carrier frequency; if left out, that of each bridge's profile", 10, 1_000_000, "Hz", None
     )
     cycle_hz: float = number("writes a second at most", 10, 1000, "Hz", 200.0)
     engine: Literal["auto", "rt"] = "auto"
-    """There is one: a real-time thread."""
+    """Engine of the line: always a real-time thread."""
     priority: int = number("SCHED_FIFO priority of its thread, below the loop's", 0, 98, "1", 70)
     cpu: Cpus = Field(default=(), strict=False)
     """CPUs the line's thread may run on, each 0 to 63; none: all of them."""
@@ -264,7 +265,7 @@ class PwmLine(Section):
 
     @property
     def address(self) -> str:
-        """Where its pins are."""
+        """The PWM chip and the GPIO chip of its pins."""
         return f"{self.pwm_chip or ''} {self.gpio_chip or ''}".strip()
 
 

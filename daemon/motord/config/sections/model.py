@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file as values. Rules for one value alone are here, rules for several values together
-in `rules`.
+"""The robot file as values. Rules for one value alone are here; rules for several values together
+are in `rules`.
 
 Every number has a unit in its name, a range, and its unit as data in the JSON Schema. Defaults are
-on the slow and careful side.
-"""
+on the slow and careful side."""
 
 from __future__ import annotations
 
@@ -60,10 +59,10 @@ StopAction = Literal["ramp", "brake", "hold", "coast"]
 
 
 class RobotName(Section):
-    """The name of this robot."""
+    """Name of this robot."""
 
     name: Name
-    """Name of the robot: of its socket and of its state page."""
+    """Name of the robot, and part of the names of its socket and its state page."""
 
 
 class Loop(Section):
@@ -80,7 +79,7 @@ class Loop(Section):
 
 
 class Safety(Section):
-    """When to stop, and how."""
+    """When the robot stops, and how."""
 
     command_timeout_s: float = number("an older command is ignored", 0.02, 5, "s", 0.3)
     feedback_timeout_s: float = number(
@@ -109,8 +108,8 @@ class Safety(Section):
     watchdog: WatchdogOutput | None = None
     feedback: FeedbackChecks = Field(default_factory=FeedbackChecks)
     on_battery_critical: Literal["none", "stop"] = "none"
-    """What a critical battery does: "none" reports it, "stop" stops the robot by on_fault and lets
-    no client arm. "none" is the default because a robot that still drives can drive to its
+    """What a critical battery does: "none" reports it, "stop" stops the robot by on_fault and
+    refuses to arm it. "none" is the default because a robot that still drives can drive to its
     charger."""
 
 
@@ -142,24 +141,24 @@ class Odometry(Section):
 
 
 class Joint(Section):
-    """One driven wheel."""
+    """One driven wheel, or one joint without a base."""
 
     line: str
-    """Name of the line that it is connected to."""
+    """Name of the line that the joint's drive is connected to."""
     drive: str
-    """Name of its drive profile (motord drives), or a profile's file (NAME.toml) beside the robot
-    file."""
+    """Name of the joint's drive profile (motord drives), or a profile's file (NAME.toml) beside the
+    robot file."""
     unit: int = number(
         "Modbus address, or node on the CAN bus, of its drive; a board has none", 0, 255, "1", 1
     )
     channel: int = number("which motor of the drive", 1, 8, "1", 1)
     side: Literal["left", "right"] | None = None
-    """Of a base with wheels on two sides."""
+    """Side of the wheel, on a base with wheels on two sides."""
     place: Place | None = None
-    """Of a mecanum base, and of a base with steered wheels."""
+    """Place of the wheel, on a mecanum base or a base with steered wheels."""
     steers: bool = False
-    """Of a base with steered wheels: the joint turns the wheel at its place about the vertical; its
-    drive takes positions."""
+    """Only on a base with steered wheels: the joint turns the wheel at its place about the
+    vertical; its drive takes positions."""
     position_min_rad: float | None = number(
         "of a joint that steers: the farthest to the right, from straight ahead; without a base: "
         "the least angle",
@@ -240,7 +239,7 @@ class Joint(Section):
     inverted: bool = False
     """The motor turns backward when the robot drives forward."""
     reversible: bool | None = None
-    """Whether the wheel may turn backward; as the drive can where it is not given."""
+    """Whether the wheel may turn backward; if this is not given, it may where the drive can."""
     wheel_radius_m: float | None = number("radius; the base's if not given", 0.005, 5, "m", None)
     velocity_max_rad_s: float | None = number(
         "the wheel's speed at most; what the drive can where it is not given",
@@ -271,13 +270,13 @@ class Joint(Section):
         None,
     )
     speed_loop: SpeedLoop | None = None
-    """How motord holds the wheel's speed: of a drive that takes a torque, and of one that takes a
+    """How motord holds the wheel's speed: for a drive that takes a torque, and for one that takes a
     duty where its wheel is measured. Without it, a duty follows the open-loop map."""
     derating: Derating | None = None
     """How the base becomes slower with the temperature, current and supply voltage of its drive."""
     pins: dict[str, str] = Field(default_factory=dict)
-    """On a line of kind "pwm": pin of the bridge → where it is: pwmN, or a GPIO line's name or
-    number; with ! before it it is active low. Every bridge may have "fault", an input, and "pump",
+    """On a line of kind "pwm": place of each pin of the bridge: pwmN, or a GPIO line's name or
+    number; with ! before it, it is active low. Every bridge may have "fault", an input, and "pump",
     which changes with every cycle while the motor may move."""
     tries: int = number("requests before the drive counts as unresponsive", 1, 10, "1", 3)
     reply_timeout_s: float | None = number(
@@ -302,17 +301,17 @@ class Joint(Section):
 
 class SocketInput(Section):
     """Commands from the local socket: motord drive, move, turn, and motord.client. They are taken
-    whether or not the robot file has this section, unless it says enabled = false."""
+    whether or not the robot file has this section, unless it has enabled = false."""
 
     kind: Literal["socket"]
     enabled: bool = True
-    """Whether the local socket may move the robot. Stop, e-stop and disarm work all the same."""
+    """Whether the local socket may move the robot. Stop, e-stop and disarm work in any case."""
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
     lease_s: float = number("lifetime of a command that gives none", 0.02, 5, "s", 0.3)
 
 
 class RtInput(Section):
-    """Commands as datagrams that the loop itself takes in, whatever Python does."""
+    """Commands as datagrams that the loop itself receives, whatever Python does."""
 
     kind: Literal["rt"]
     priority: int = number("the higher one commands", 0, 1000, "1", 100)
@@ -368,11 +367,12 @@ class Robot(Section):
     battery: Annotated[DrivesBattery | InaBattery, Field(discriminator="source")] | None = None
     imu: Annotated[ChipImu | LineImu, Field(discriminator="source")] | None = None
     line: dict[Name, LineSection]
-    """The wires."""
+    """The fieldbus lines by name."""
     joint: dict[Name, Joint]
-    """The driven wheels; their order is that of the core's joints."""
+    """The driven wheels or joints by name; their order is that of the core's joints."""
     input: dict[Name, Annotated[Input, Field(discriminator="kind")]] = Field(default_factory=dict)
-    """What may command. The local socket may, unless a section of kind "socket" disables it."""
+    """Inputs that may command, by name. The local socket may command, unless a section of kind
+    "socket" disables it."""
     publish: dict[Name, Annotated[AnyPublish, Field(discriminator="kind")]] = Field(
         default_factory=dict
     )
@@ -382,37 +382,37 @@ class Robot(Section):
     _overrides: tuple[str, ...] = PrivateAttr(())
     _warnings: tuple[Problem, ...] = PrivateAttr(())
     _profiles: bytes = PrivateAttr(b"")
-    """Pickled: motord-bus has the robot too, and must not load what knows drives."""
+    """Pickled: motord-bus has the robot, too, and must not load the modules of the drives."""
 
     @property
     def path(self) -> Path:
-        """The file that it came from; drive profiles beside it are found too."""
+        """The file that the robot was read from; drive profiles beside it are found, too."""
         return self._path
 
     @property
     def text(self) -> str:
-        """What was in the file."""
+        """Content of the file."""
         return self._text
 
     @property
     def warnings(self) -> tuple[Problem, ...]:
-        """What works but deserves a look."""
+        """Problems that are no errors, but deserve a look."""
         return self._warnings
 
     @property
     def overrides(self) -> tuple[str, ...]:
-        """The --set options with which it was read: another process needs them too."""
+        """The --set options with which the file was read: another process needs them, too."""
         return self._overrides
 
     @property
     def local_input(self) -> SocketInput:
-        """How the local socket commands; see its `enabled`."""
+        """Settings for commands from the local socket; see its `enabled`."""
         own = (found for found in self.input.values() if isinstance(found, SocketInput))
         return next(own, SocketInput(kind="socket"))
 
     def commanders(self) -> list[dict[str, Any]]:
-        """Name, kind, priority and lease_s of every source that may command the robot, the local
-        socket first."""
+        """Return name, kind, priority and lease_s of every source that may command the robot, the
+        local socket first."""
         found: dict[str, Input] = {"local socket": self.local_input}
         found |= {name: section for name, section in self.input.items() if section.kind != "socket"}
         return [
@@ -434,7 +434,7 @@ class Robot(Section):
 
     @property
     def has_journal(self) -> bool:
-        """Whether what goes into the core is recorded."""
+        """Whether the core's input is recorded."""
         return any(
             isinstance(section, McapPublish) and section.journal
             for section in self.publish.values()
@@ -448,8 +448,8 @@ class Robot(Section):
         overrides: Iterable[str] = (),
         profiles: Mapping[str, DriveProfile] = _NONE,
     ) -> Robot:
-        """Note the file, what was in it, what deserves a look there, its --set options, and the
-        profiles of its drives; returns self."""
+        """Note the file, its content, its warnings, its --set options, and the profiles of its
+        drives; return self."""
         self._path, self._text = path, text
         self._warnings, self._overrides = tuple(warnings), tuple(overrides)
         self._profiles = pickle.dumps(dict(profiles))
@@ -457,11 +457,11 @@ class Robot(Section):
 
     @property
     def profiles(self) -> dict[str, DriveProfile]:
-        """The profiles of its drives, by the name that the file gives them."""
+        """The profiles of the robot's drives, by the name that the robot file gives them."""
         found: dict[str, DriveProfile] = pickle.loads(self._profiles)
         return found
 
     def wheel_radius_m(self, joint: str) -> float:
-        """A joint's own radius, else the base's."""
+        """Return a joint's own wheel radius, else the base's."""
         own = self.joint[joint].wheel_radius_m
         return self.base.wheel_radius_m if own is None else own

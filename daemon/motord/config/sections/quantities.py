@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys that are right but for their unit, or that give a diameter where a radius is needed: the key
-that is meant, and what its value becomes. A rename alone would change the robot's size."""
+"""Keys that are right except for their unit, or that give a diameter where a radius is needed: the
+key that is meant, and what its value becomes. A new name alone would change the robot's size."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """`key` is what motord takes; its value is `factor` times the given one, `how` in words."""
+    """A conversion. `key` is what motord takes; its value is `factor` times the given one, `how` in
+    words."""
 
     key: str
     factor: float
@@ -42,7 +43,7 @@ _UNITS: dict[str, tuple[str, float]] = {
 
 
 def conversion(key: str, known: Iterable[str]) -> Conversion | None:
-    """The known key of the same quantity in another unit; None where there is none."""
+    """Return the known key of the same quantity in another unit; None: there is no such key."""
     keys = set(known)
     stem, unit, factor, how = key, "", 1.0, ""
     for ending, (si_unit, per_unit) in _UNITS.items():

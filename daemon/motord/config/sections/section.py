@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every table of the robot file is made of: numbers with a unit and a range.
+"""Base of every table of the robot file, and its numbers with a unit and a range.
 
-One process reads the file and checks it by pydantic. Those that live long only hold what it has
-found, as plain values of the same classes: `validation.py` says which this one is.
-"""
+One process reads the file and checks it by pydantic. Processes that live long only hold the result,
+as plain values of the same classes: `validation.py` knows which kind this process is."""
 
 from __future__ import annotations
 
@@ -25,7 +24,7 @@ Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$"
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """What a number of the robot file may be. `high` None: no upper end, infinity allowed."""
+    """Range and unit of a number of the robot file. `high` None: no upper end, infinity allowed."""
 
     description: str
     low: float
@@ -33,7 +32,7 @@ class Number:
     unit: str
 
     def takes(self, value: Any) -> bool:
-        """Whether it is a number within the range."""
+        """Return whether the value is a number within the range."""
         if not isinstance(value, int | float) or isinstance(value, bool):
             return False
         return self.low <= value <= (math.inf if self.high is None else self.high)
@@ -53,8 +52,8 @@ def number(
     unit: str,
     default: Any = ...,
 ) -> Any:
-    """A number within low..high (None: no upper end, infinity allowed) and its unit. A callable
-    default makes the value from those above it."""
+    """Declare a number within low..high (None: no upper end, infinity allowed) with its unit. A
+    callable default makes the value from those above it."""
     start = {"default_factory" if callable(default) else "default": default}
     return Field(
         **start,
@@ -73,14 +72,14 @@ class Section(BaseModel):
         extra="forbid",
         frozen=True,
         strict=True,
-        defer_build=True,  # of most tables a process needs no validator of their own
+        defer_build=True,  # most tables need no validator of their own in a process
         allow_inf_nan=False,
         field_title_generator=lambda name, _: name,
     )
 
 
 def numbers_of(section: type[Section]) -> dict[str, Number]:
-    """Its numbers by name: the arguments of `number` for each."""
+    """Return the numbers of a section by name, with the arguments of `number` for each."""
     found = {}
     for name, field in section.model_fields.items():
         extra, low, high = field.json_schema_extra, -math.inf, None

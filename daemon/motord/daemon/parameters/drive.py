@@ -22,12 +22,12 @@ from motord_hal.fieldbus.ports import JointSpec, Line
 
 PREFIX = "drive."
 WITHIN_S = 4.0
-"""For one register to be read or written."""
+"""Deadline for one register to be read or written."""
 
 
 def listed(lines: Iterable[Line]) -> dict[str, dict[str, Any]]:
-    """Every register that can be read: unit, range, access and source; no value, for that the drive
-    is asked."""
+    """Return unit, range, access and source of every register that can be read. Its value is None,
+    as this does not read the drive."""
     return {
         f"{PREFIX}{joint.name}.{register.name}": _about(joint, register)
         for _, joint in _joints(lines)
@@ -50,14 +50,16 @@ def _about(joint: JointSpec, register: Register) -> dict[str, Any]:
 
 
 async def values(lines: Iterable[Line], names: Iterable[str]) -> dict[str, float | None]:
-    """By name, as the drives report them now; None: no number. Raises RpcError."""
+    """Return the values by name, as the drives report them now; None: not a number. Raises
+    RpcError."""
     found = {name: _place(lines, name) for name in names}
     return {name: json_number(await _read(*place)) for name, place in found.items()}
 
 
 async def write(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float | None]:
-    """One after the other, each read back; returns what is in force. Only without power, which
-    cannot come on meanwhile. Raises RpcError: those before it have been written."""
+    """Write registers one after the other, read each back, and return the values in force. This
+    works only without power, which cannot come on meanwhile. Raises RpcError: the registers before
+    the failed one have been written."""
     found = {name: _place(operation.lines, name) for name in wanted}
     if not found:
         return {}
@@ -82,7 +84,7 @@ def _joints(lines: Iterable[Line]) -> Iterator[tuple[Line, JointSpec]]:
 
 
 def _place(lines: Iterable[Line], name: str) -> tuple[Line, str, str]:
-    """Line, joint and register of a name."""
+    """Return line, joint and register of a name. Raises RpcError for an unknown name."""
     joint_name, _, register = name.removeprefix(PREFIX).partition(".")
     known = []
     for line, joint in _joints(lines):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gains of the speed loops by name: `joint.left.speed_loop.gain_s_per_rad` and its like, as in the
+"""Gains of the speed loops by name: `joint.left.speed_loop.gain_s_per_rad` and the like, as in the
 robot file. They change while the robot moves, without a step of the output."""
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _TABLE = "speed_loop"
 
 
 def is_gain(name: str) -> bool:
-    """Whether it is one of a speed loop, by its form; other parameters of joints are limits."""
+    """Return whether a name has the form of a gain; other parameters of joints are limits."""
     return f".{_TABLE}." in name or name.endswith(f".{_TABLE}")
 
 
 def listed(robot: Robot, loops: Mapping[str, SpeedLoop]) -> dict[str, dict[str, Any]]:
-    """Every gain: value, unit, range and what it is."""
+    """Return value, unit, range and description of every gain."""
     return {
         name: {
             "value": getattr(loops[joint], key),
@@ -40,7 +40,7 @@ def listed(robot: Robot, loops: Mapping[str, SpeedLoop]) -> dict[str, dict[str, 
 def values(
     robot: Robot, loops: Mapping[str, SpeedLoop], names: Iterable[str] | None = None
 ) -> dict[str, float]:
-    """By name; None: all. Raises RpcError for an unknown one."""
+    """Return the values by name; None: all. Raises RpcError for an unknown name."""
     known = _known(robot, loops)
     found = {}
     for name in known if names is None else names:
@@ -52,7 +52,7 @@ def values(
 def changed(
     robot: Robot, loops: Mapping[str, SpeedLoop], wanted: Mapping[str, Any]
 ) -> dict[str, SpeedLoop]:
-    """The loops that differ then. Raises RpcError: then none."""
+    """Return the changed loops by joint. Raises RpcError if any value is refused."""
     known = _known(robot, loops)
     changes: dict[str, dict[str, float]] = defaultdict(dict)
     for name, value in wanted.items():
@@ -65,7 +65,7 @@ def changed(
 
 
 def _known(robot: Robot, loops: Mapping[str, SpeedLoop]) -> dict[str, tuple[str, str]]:
-    """Name → joint and key."""
+    """Return joint and key by parameter name."""
     return {f"{PREFIX}{joint}.{_TABLE}.{key}": (joint, key) for joint, key in _keys(robot, loops)}
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of joints without a base by name: `joint.pan.velocity_max_rad_s` and its like, as in the
-robot file. They change while the joints move: a lowered one is reached by deceleration.
+"""Limits of joints without a base by name: `joint.pan.velocity_max_rad_s` and the like, as in the
+robot file. They change while the joints move: a lowered limit is reached by deceleration.
 
-A joint gets no faster than its robot file allows: what watches its feedback goes by that speed.
-"""
+A joint gets no faster than its robot file allows: the checks of its feedback depend on that
+speed."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from motord.local_socket.server import INVALID_PARAMS, RpcError, json_number
 from motord_hal.base.nearest import nearest
 
 Limits = Mapping[str, JointLimits]
-"""By joint, as they are in force."""
+"""Limits in force by joint."""
 
 
 def listed(robot: Robot, limits: Limits) -> dict[str, dict[str, Any]]:
-    """Every limit: value, unit, range and what it is."""
+    """Return value, unit, range and description of every limit."""
     found = {}
     for name, (joint, key) in _known(robot).items():
         number = _number(robot, joint, key)
@@ -42,7 +42,7 @@ def listed(robot: Robot, limits: Limits) -> dict[str, dict[str, Any]]:
 def values(
     robot: Robot, limits: Limits, names: Iterable[str] | None = None
 ) -> dict[str, float | None]:
-    """By name; None: all. Raises RpcError for an unknown one."""
+    """Return the values by name; None: all. Raises RpcError for an unknown name."""
     known = _known(robot)
     found = {}
     for name in known if names is None else names:
@@ -54,7 +54,8 @@ def values(
 def changed(
     robot: Robot, limits: Limits, wanted: Mapping[str, Any], setpoints_rad_s: Sequence[float]
 ) -> dict[str, JointLimits]:
-    """Those that differ then, of joints that move so. Raises RpcError: then none."""
+    """Return the changed limits by joint, checked for joints that move at these set-points. Raises
+    RpcError if any value is refused."""
     known = _known(robot)
     changes: dict[str, dict[str, float]] = defaultdict(dict)
     for name, value in wanted.items():
@@ -84,7 +85,7 @@ def _number(robot: Robot, joint: str, key: str) -> Number:
 
 
 def _known(robot: Robot) -> dict[str, tuple[str, str]]:
-    """Name → joint and key."""
+    """Return joint and key by parameter name."""
     return {
         f"joint.{joint}.{key}": (joint, key)
         for joint in robot.joint

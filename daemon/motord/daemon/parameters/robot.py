@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the running robot by name: `limits.linear_m_s` and its like, as in the robot file.
+"""Parameters of the running robot by name: `limits.linear_m_s` and the like, as in the robot file.
 
-JSON has no infinity: null stands for "no limit" where the robot file says inf.
-"""
+JSON has no infinity: null means no limit, as inf does in the robot file."""
 
 from __future__ import annotations
 
@@ -24,14 +23,15 @@ _NUMBERS = numbers_of(Limits)
 
 
 def _numbers(base: AnyBase) -> Mapping[str, Number]:
-    """The limits that it has; of joints without a base, each has its own (`joint_parameters`)."""
+    """Return the limits that this base has; without a base none, as each joint has its own there
+    (`joint_parameters`)."""
     if isinstance(base, JointsBase):
         return {}
     return {key: one for key, one in _NUMBERS.items() if base.strafes or key not in LATERAL_KEYS}
 
 
 def listed(limits: Limits, base: AnyBase) -> dict[str, dict[str, Any]]:
-    """Every parameter: value, unit, range and what it is."""
+    """Return value, unit, range and description of every parameter."""
     return {
         _PREFIX + key: {
             "value": json_number(getattr(limits, key)),
@@ -45,7 +45,7 @@ def listed(limits: Limits, base: AnyBase) -> dict[str, dict[str, Any]]:
 
 
 def values(limits: Limits, base: AnyBase, names: Iterable[str] = ()) -> dict[str, float | None]:
-    """By name; no name: all. Raises RpcError for an unknown one."""
+    """Return the values by name; no name: all. Raises RpcError for an unknown name."""
     keys = [_key(name, base) for name in names] or list(_numbers(base))
     return {_PREFIX + key: json_number(getattr(limits, key)) for key in keys}
 
@@ -58,8 +58,9 @@ def changed(
     angular_rad_s: float = 0.0,
     lateral_m_s: float = 0.0,
 ) -> Limits:
-    """All of them as one group, whether they were set before or not, for a robot that moves so.
-    Raises RpcError: then none."""
+    """Return the limits with all wanted values, checked as one group for a robot that moves at
+    these speeds. A limit that is not wanted keeps its value, also if the robot file does not give
+    it. Raises RpcError if any value is refused."""
     keys = {name: _key(name, base) for name in wanted}
     if not keys:
         return limits
@@ -78,7 +79,8 @@ def changed(
 
 
 def _in_range(key: str, value: Any) -> float:
-    """In the words of `params list`: which value, and the range with its unit."""
+    """Return the value (None: infinity). Raises RpcError if it is out of range, with the range and
+    its unit as in `params list`."""
     number, asked = _NUMBERS[key], math.inf if value is None else value
     if not number.takes(asked):
         raise RpcError(f"{_PREFIX}{key}: {asked} is out of range ({number.span})", INVALID_PARAMS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between a CAN bus of a robot file and the drives on it."""
+"""Rules between a CAN bus of a robot file and the drives on it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from motord_hal.fieldbus.ports import JointSpec, LineSpec
 
 LOAD_MAX = 1.0
 LOAD_WARNING = 0.8
-"""Above it, frames of low priority wait long: they go only when no other node sends."""
+"""Load above which frames of low priority wait long: they go only when no other node sends."""
 _BITRATES = (125_000, 250_000, 500_000, 800_000, 1_000_000)
 
 
@@ -30,7 +30,8 @@ def _specs(robot: Robot, profiles: Profiles) -> Iterator[LineSpec]:
 
 
 def _plans(spec: LineSpec) -> list[CanPlan]:
-    """One joint a channel, also where the file has several: another rule reports that."""
+    """Return a plan for each node, with one joint a channel. Another rule reports more joints on
+    one."""
     nodes: dict[int, dict[int, JointSpec]] = {}
     for joint in spec.joints:
         nodes.setdefault(joint.unit, {})[joint.channel] = joint
@@ -38,8 +39,8 @@ def _plans(spec: LineSpec) -> list[CanPlan]:
 
 
 def bus_load(spec: LineSpec) -> tuple[float, float]:
-    """The part of the CAN bus that the drives take by themselves, and that a cycle a second takes;
-    at worst, with all stuff bits."""
+    """Return the part of the CAN bus that the drives take by themselves, and the part that one
+    cycle a second takes; at worst, with all stuff bits."""
     wire = (spec.baudrate, spec.data_baudrate)
     plans = _plans(spec)
     return (
@@ -73,7 +74,7 @@ def _faster(spec: LineSpec) -> str:
 
 
 def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Feedback comes at the drive's own pace, or at the line's."""
+    """Check that feedback comes in time, at the drive's own pace or at the line's."""
     for spec in _specs(robot, profiles):
         for plan in _plans(spec):
             slowest_s = max((frame.period_s for frame in plan.measuring), default=0.0)
@@ -87,7 +88,7 @@ def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _cycles(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """A drive that interpolates between set-points must know how far apart they are."""
+    """Check that a drive that interpolates between set-points can learn how far apart they are."""
     for name, joint in robot.joint.items():
         line, profile = robot.line[joint.line], profiles[joint.drive]
         if not isinstance(line, CanLine):
@@ -120,9 +121,9 @@ def _counts(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """The watchdog that was set with the maker's tool, or by a text's prefix. motord cannot read
-    it, but it counts on safety.drive_watchdog_s: for so long a wheel may go on when motord dies,
-    and a drive that got nothing for so long has stopped itself."""
+    """Check the watchdog that was set with the maker's tool, or by a text's prefix. motord cannot
+    read it, but counts on safety.drive_watchdog_s: for this long a wheel may go on when motord
+    dies, and a drive that received nothing for this long has stopped by itself."""
     wanted_s = robot.safety.drive_watchdog_s
     for name, joint in robot.joint.items():
         own_s, line = joint.drive_watchdog_s, robot.line[joint.line]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between the keys of a line: which engine, which port, which transceiver."""
+"""Rules between the keys of a line: which engine, which port, which transceiver."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from motord_hal.fieldbus.open_line import RT_CAN_INTERFACES
 from motord_hal.sabertooth.codec import UNITS as SABERTOOTH_UNITS
 
 ON_RT_ONLY = (DdsmLine, DynamixelLine, FeetechLine, PortLine)
-"""They always sit on a serial port of this machine."""
+"""Kinds that are always on a serial port of this machine."""
 WITHOUT_ADDRESS = (McuLine, AsciiLine, HoverboardLine)
 
 
@@ -82,7 +82,7 @@ def _adapter(robot: Robot) -> Iterator[Finding]:
 
 
 def _unit(robot: Robot) -> Iterator[Finding]:
-    """A board is alone on its line; everything else is found by its address."""
+    """Check that every drive has its address; a board is alone on its line and needs no address."""
     for name, joint in robot.joint.items():
         line = robot.line.get(joint.line)
         if isinstance(line, SabertoothLine) and joint.unit not in SABERTOOTH_UNITS:
@@ -105,7 +105,7 @@ def _one_board(robot: Robot) -> Iterator[Finding]:
 
 
 def _one_profile(robot: Robot) -> Iterator[Finding]:
-    """Drivers that move and stop as one drive take the same steps."""
+    """Check that all Sabertooths of a line have one profile: they move and stop as one drive."""
     for (one, first), (other, second) in itertools.combinations(robot.joint.items(), 2):
         together = isinstance(robot.line.get(first.line), SabertoothLine)
         if together and first.line == second.line and first.drive != second.drive:

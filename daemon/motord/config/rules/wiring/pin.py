@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold for motor bridges on pins."""
+"""Rules for motor bridges on pins."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _pins(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
                 if joint.pins:
                     text = f'is only for a line of kind "pwm": this one is "{kind}"'
                     yield Finding((at, ("line", spec.name, "kind")), text)
-            elif joint.profile.bridge is not None:  # else the protocol does not fit: another rule
+            elif joint.profile.bridge is not None:  # else another rule reports the protocol
                 yield from _bridge(robot, spec, number, joint)
 
 
@@ -62,7 +62,7 @@ def _carrier(spec: LineSpec, joint: JointSpec) -> Iterator[Finding]:
 
 
 def _servo(spec: JointSpec, joint: Joint) -> Iterator[Finding]:
-    """Its pulses are of a certain range."""
+    """Check that the joint's range is within that of the servo's pulses."""
     most_rad = servo_range_rad(spec)
     for key in ("position_min_rad", "position_max_rad") if most_rad else ():
         if abs(getattr(joint, key) or 0.0) > most_rad * (1 + 1e-9):
@@ -95,7 +95,8 @@ def _edges(line: PwmLine, joint: JointSpec, encoder: GpioEncoder) -> Iterator[Fi
 
 
 def _boards(robot: Robot, _: Profiles) -> Iterator[Finding]:
-    """Encoders on boards: each port is theirs alone, each motor of it one joint's."""
+    """Check that no line uses the port of a board with encoders, and no two joints the same motor
+    of it."""
     lines = {line.address: name for name, line in robot.line.items()}
     seen: dict[tuple[str, int], str] = {}
     rates: dict[str, tuple[str, int]] = {}
@@ -118,7 +119,8 @@ def _boards(robot: Robot, _: Profiles) -> Iterator[Finding]:
 
 
 def _pulls(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Where a chip is named by its label; by its device file only the daemon gets to know it."""
+    """Check that a chip has pull resistors, if its label names it. The daemon alone identifies a
+    chip by its device file."""
     estop = robot.safety.estop
     if estop is not None and estop.pull and (text := why_no_pull(estop.gpio_chip)):
         yield Finding((("safety", "estop", "pull"), ("safety", "estop", "gpio_chip")), text)

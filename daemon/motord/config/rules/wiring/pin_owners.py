@@ -24,11 +24,11 @@ class _Claim:
     owner: str
     at: Path
     key: str = ""
-    """Which key of `at` names the pin, where `at` is more than that."""
+    """Key in `at` that names the pin, if `at` is a whole table."""
 
 
 def pins_have_one_owner(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Chips are compared as they are written."""
+    """Check that no pin has two users. Chips are compared as the file writes them."""
     owners: dict[tuple[str, str], str] = {}
     for claim in _claims(robot, profiles):
         owner = owners.setdefault((claim.chip, claim.pin), claim.owner)

@@ -16,14 +16,14 @@ from motord_hal.modbus.timing import line_gap_s
 from motord_hal.servo.packets import KINDS as SERVO_KINDS
 
 _ASK_BYTES = 8 + 7
-"""One register is read: request and reply (MODBUS Application Protocol V1.1b3, 6.3)."""
+"""Bytes to read one register: request and reply (MODBUS Application Protocol V1.1b3, 6.3)."""
 _BAUDRATES = (19200, 38400, 57600, 115200, 230400, 460800, 921600)
 _SERVO_BAUDRATES = {
     "feetech": (115200, 250_000, 500_000, 1_000_000),
     "dynamixel": (115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 4_500_000),
 }
 _STREAMS = ("mcu", "ascii", "hoverboard", "sabertooth")
-"""Kinds without anything acyclic, and without a gap between frames."""
+"""Kinds without acyclic exchanges, and without a gap between frames."""
 _WORTH_SAYING = 1.02
 
 
@@ -35,7 +35,7 @@ class Budget:
     cycle_hz: float
     """The highest requested rate."""
     share: float
-    """Of the time; 1: all of it."""
+    """Part of the wire's time; 1: all of it."""
 
     @property
     def most_hz(self) -> float:
@@ -44,14 +44,15 @@ class Budget:
 
 
 def cycle_limit_hz(spec: LineSpec) -> float:
-    """Highest cyclic rate of a line whose drives answer at once, without anything acyclic."""
+    """Return the highest cyclic rate of a line whose drives answer at once, without acyclic
+    exchanges."""
     if spec.kind == "pwm":
         return spec.cycle_hz  # pins have no wire
     return 1 / sum(_cycle_time_s(spec, joints) for joints in _units(spec))
 
 
 def budget(spec: LineSpec) -> Budget:
-    """Drives that answer at once are assumed: it is never less than this."""
+    """Return what a line needs if its drives answer at once: it never needs less."""
     if spec.kind == "pwm":
         return Budget(len(spec.joints), spec.cycle_hz, 0.0)
     drives = [(_cycle_time_s(spec, joints), _rate_hz(spec, joints)) for joints in _units(spec)]
@@ -64,7 +65,7 @@ def budget(spec: LineSpec) -> Budget:
 
 
 def helps(spec: LineSpec) -> Iterator[tuple[str, float]]:
-    """What would let the wire carry more, and the rate that it would carry, Hz."""
+    """Yield each change by which the wire would carry more, and the rate then, in Hz."""
     now_hz = budget(spec).most_hz
     for words, changed in _changes(spec):
         then_hz = budget(changed).most_hz
@@ -93,7 +94,8 @@ def _with_read_write(joint: JointSpec) -> JointSpec:
 
 
 def _units(spec: LineSpec) -> list[list[JointSpec]]:
-    """One joint a channel, also where the file has several: another rule reports that."""
+    """Return the joints of each unit, one a channel. Another rule reports more joints on one
+    channel."""
     units: dict[int, dict[int, JointSpec]] = {}
     for joint in spec.joints:
         units.setdefault(joint.unit, {})[joint.channel] = joint

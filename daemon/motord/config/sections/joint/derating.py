@@ -12,12 +12,13 @@ PAIRS: Mapping[str, tuple[str, str]] = {
     "current": ("current_from_a", "current_to_a"),
     "voltage": ("voltage_from_v", "voltage_to_v"),
 }
-"""By what, in the core's order: where it begins, and where nothing is left."""
+"""Causes of derating in the core's order, with the keys where it begins and where nothing is
+left."""
 
 
 class Derating(Section):
-    """From the first value of a pair to the second one the speed limits of the base fall linearly
-    to nothing. What the drive reports is smoothed over a second."""
+    """Derating. From the first value of a pair to the second one, the speed limits of the base fall
+    linearly to zero. The drive's reports are smoothed over a second."""
 
     temperature_from_c: float | None = number(
         "temperature at which it begins", -40, 300, "°C", None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[joint.NAME.encoder]: what counts a wheel's turns where its drive does not."""
+"""[joint.NAME.encoder]: encoder of a wheel whose drive does not count its turns."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Encoder(Section):
 
 
 class GpioEncoder(Encoder):
-    """On two GPIO lines: each edge is an interrupt."""
+    """An encoder on two GPIO lines: each edge is an interrupt."""
 
     kind: Literal["gpio"]
     a: str = Field(min_length=1)
@@ -30,22 +30,23 @@ class GpioEncoder(Encoder):
     b: str = Field(min_length=1)
     """GPIO line of channel B."""
     gpio_chip: str | None = None
-    """The chip's label or device file; the line's where it is not given."""
+    """Label or device file of the GPIO chip; by default the line's chip."""
     pull: Literal["none", "up", "down"] = "none"
-    """What the chip does to the lines: encoders with open collectors need "up"."""
+    """Pull resistors of the chip on both lines: encoders with open collectors need "up"."""
 
 
 class KernelEncoder(Encoder):
-    """On a counter of the kernel: hardware decodes it."""
+    """An encoder on a counter of the kernel: hardware decodes it."""
 
     kind: Literal["counter"]
     counter: str = Field(min_length=1)
-    """Its name, part of its device's path, or counterN: see /sys/bus/counter/devices."""
+    """Name of the counter, part of its device's path, or counterN: see /sys/bus/counter/devices."""
     count: int = number("which count of it", 0, 63, "1", 0)
 
 
 class BoardEncoder(Encoder):
-    """On your own board (docs/mcu-frame.md) that only counts; several may be on one."""
+    """An encoder on your own board (docs/mcu-frame.md) that only counts; one board may have
+    several."""
 
     kind: Literal["mcu"]
     port: str = Field(min_length=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a joint without a base may do at most. It can be changed while the daemon runs."""
+"""Limits of a joint without a base. They can be changed while the daemon runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from motord.config.sections.section import Number, numbers_of
 
 @dataclass(frozen=True, slots=True)
 class JointLimits:
-    """The keys of [joint.NAME] with these names, each with its value."""
+    """Limits of one joint: the keys of [joint.NAME] with these names."""
 
     velocity_max_rad_s: float
     acceleration_max_rad_s2: float
@@ -25,7 +25,7 @@ class JointLimits:
 
     @classmethod
     def of(cls, joint: Joint) -> Self:
-        """As the robot file has them."""
+        """Return the limits that the robot file gives."""
         falls_rad_s2 = joint.deceleration_max_rad_s2
         return cls(
             velocity_max_rad_s=joint.velocity_max_rad_s or 0.0,
@@ -35,12 +35,14 @@ class JointLimits:
         )
 
     def rest_s(self, velocity_rad_s: float = 0.0) -> float:
-        """How long a stop takes at most: from full speed, or from this where it is more."""
+        """Return how long a stop takes at most: from full speed, or from this speed if it is
+        higher."""
         velocity_rad_s = max(self.velocity_max_rad_s, abs(velocity_rad_s))
         return braking_s(velocity_rad_s, self.deceleration_max_rad_s2, self.jerk_max_rad_s3)
 
     def ramp_s(self, velocity_rad_s: float) -> float:
-        """Within this a joint that moves so comes to rest, whatever its acceleration is now."""
+        """Return the time within which a joint at this speed comes to rest, whatever its
+        acceleration is."""
         falls_rad_s2 = self.deceleration_max_rad_s2
         return abs(velocity_rad_s) / falls_rad_s2 + 2.0 * falls_rad_s2 / self.jerk_max_rad_s3
 
@@ -56,7 +58,8 @@ NUMBERS: Mapping[str, Number] = {key: numbers_of(Joint)[key] for key in KEYS}
 
 
 def limit_keys(robot: Robot, name: str) -> tuple[str, ...]:
-    """Which limits this joint has; none where a base has limits for all."""
+    """Return the keys of the limits that this joint has; empty if a base has limits for all
+    joints."""
     if not isinstance(robot.base, JointsBase):
         return ()
     joint = robot.joint[name]

@@ -25,15 +25,15 @@ TORQUE_GAINS: Mapping[str, CoreGain] = {
     "viscous_n_m_s_per_rad": "viscous_u_s_per_rad",
     "inertia_kg_m2": "acceleration_u_s2_per_rad",
 }
-"""Keys of a drive that takes a torque, by `speed_loop_gains` of the core."""
+"""Keys for a drive that takes a torque, with their fields in `speed_loop_gains` of the core."""
 DUTY_GAINS: Mapping[str, CoreGain] = {
     "gain_s_per_rad": "gain_u_s_per_rad",
     "integral_per_rad": "integral_u_per_rad",
     "derivative_s2_per_rad": "derivative_u_s2_per_rad",
     "acceleration_s2_per_rad": "acceleration_u_s2_per_rad",
 }
-"""Of one that takes a duty. Static and viscous feed-forward are the joint's open-loop map:
-duty_dead_band and full_duty_rad_s."""
+"""Keys for a drive that takes a duty. Static and viscous feed-forward are the joint's open-loop
+map: duty_dead_band and full_duty_rad_s."""
 TORQUE_KEYS = frozenset((*TORQUE_GAINS, "torque_max_n_m"))
 DUTY_KEYS = frozenset((*DUTY_GAINS, "correction_max"))
 
@@ -91,4 +91,4 @@ GAIN_NUMBERS: Mapping[str, Number] = {
     for key, one in numbers_of(SpeedLoop).items()
     if key in TORQUE_GAINS or key in DUTY_GAINS
 }
-"""What may be changed while the daemon runs."""
+"""Numbers that may be changed while the daemon runs."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a joint and its drive can do together: at the wheel, after the gear."""
+"""What a joint and its drive can do together, at the wheel, after the gear."""
 
 from __future__ import annotations
 
@@ -12,60 +12,62 @@ from motord.config.sections.model import Joint, Robot
 from motord_hal.drives.profile import DriveProfile, Register
 
 Profiles = Mapping[str, DriveProfile]
-"""By the drive's name as the robot file writes it."""
+"""Profiles by the drive's name as the robot file writes it."""
 
 
 def encoders_of(robot: Robot, drive: str, profile: DriveProfile) -> set[int]:
-    """Counts of a motor turn of the encoders that the joints with this drive have on it."""
+    """Return the counts per motor turn of the joints with this drive, except those with an
+    [encoder] of their own."""
     joints = [joint for joint in robot.joint.values() if joint.drive == drive]
     return {counts_per_turn(joint, profile) for joint in joints if joint.encoder is None}
 
 
 def takes_duty(joint: Joint, profile: DriveProfile) -> bool:
-    """Whether the set-point is a duty and not a velocity."""
+    """Return whether the set-point is a duty and not a velocity."""
     return profile.channels[joint.channel].duty_setpoint is not None
 
 
 def takes_torque(joint: Joint, profile: DriveProfile) -> bool:
-    """Whether the set-point is a torque: the core holds the speed."""
+    """Return whether the set-point is a torque: then the core holds the speed."""
     return profile.channels[joint.channel].torque_setpoint is not None
 
 
 def measures_speed(joint: Joint, profile: DriveProfile) -> bool:
-    """Whether the core gets to know how fast the wheel turns."""
+    """Return whether the core measures how fast the wheel turns."""
     return bool(
         counter_bits(joint, profile) or profile.channels[joint.channel].velocity is not None
     )
 
 
 def gains_of(joint: Joint, profile: DriveProfile) -> Mapping[str, CoreGain]:
-    """Keys of [joint.NAME.speed_loop] that can be changed while the robot runs, by the core's;
-    empty: motord holds no speed of this wheel."""
+    """Return the keys of [joint.NAME.speed_loop] that can be changed while the robot runs, with the
+    core's names. Empty: motord does not hold the speed of this wheel."""
     if takes_torque(joint, profile):
         return TORQUE_GAINS
     return DUTY_GAINS if takes_duty(joint, profile) and measures_speed(joint, profile) else {}
 
 
 def takes_position(joint: Joint, profile: DriveProfile) -> bool:
-    """Whether the set-point is an angle: the core goes there."""
+    """Return whether the set-point is an angle, to which the core moves the joint."""
     return profile.channels[joint.channel].position_setpoint is not None
 
 
 def reference_of(joint: Joint, profile: DriveProfile) -> int:
-    """How the angle of a joint that takes positions is known: position_reference of
-    csrc/api/api_position.h. -1: not at all."""
+    """Return how the angle of a joint that takes positions is known: position_reference of
+    csrc/api/api_position.h. -1: it is not known."""
     if counter_bits(joint, profile) == 0:
         return 2
     return 0 if profile.absolute else 1 if profile.homed is not None else -1
 
 
 def torque_max_n_m(joint: Joint, profile: DriveProfile) -> float:
-    """What its set-point can request, at the wheel; the gear loses nothing here."""
+    """Return the torque that the set-point can request, at the wheel; losses of the gear do not
+    count."""
     return min(map(abs, _setpoint(joint, profile).si_limits)) * joint.gear_ratio
 
 
 def drive_can_reverse(joint: Joint, profile: DriveProfile) -> bool:
-    """Whether the set-point can say backward."""
+    """Return whether the set-point can request to turn backward."""
     channel = profile.channels[joint.channel]
     if takes_position(joint, profile):
         return True
@@ -75,8 +77,8 @@ def drive_can_reverse(joint: Joint, profile: DriveProfile) -> bool:
 
 
 def drive_velocity_max_rad_s(joint: Joint, profile: DriveProfile) -> float:
-    """The fastest that the set-point can request. A torque, and a duty without `full_duty_rad_s`,
-    could turn it anyhow fast: infinity. So could an angle, but for `velocity_max_rad_s`."""
+    """Return the highest speed that the set-point can request. It is infinite for a torque, for a
+    duty without `full_duty_rad_s`, and for an angle: only `velocity_max_rad_s` limits these."""
     setpoint = _setpoint(joint, profile)
     if takes_torque(joint, profile) or takes_position(joint, profile):
         return math.inf
@@ -86,7 +88,7 @@ def drive_velocity_max_rad_s(joint: Joint, profile: DriveProfile) -> float:
 
 
 def velocity_range_rad_s(joint: Joint, profile: DriveProfile) -> tuple[float, float]:
-    """The wheel's speeds, backward (<= 0) and forward, that motord may request."""
+    """Return the wheel's speeds, backward (<= 0) and forward, that motord may request."""
     forward = drive_velocity_max_rad_s(joint, profile)
     if joint.velocity_max_rad_s is not None:
         forward = min(forward, joint.velocity_max_rad_s)
@@ -99,7 +101,7 @@ def velocity_range_rad_s(joint: Joint, profile: DriveProfile) -> tuple[float, fl
 
 
 def all_reverse(robot: Robot) -> bool:
-    """Whether each wheel can turn backward."""
+    """Return whether each wheel can turn backward."""
     return all(
         velocity_range_rad_s(joint, robot.profiles[joint.drive])[0] < 0.0
         for joint in robot.joint.values()
@@ -107,7 +109,7 @@ def all_reverse(robot: Robot) -> bool:
 
 
 def counts_per_turn(joint: Joint, profile: DriveProfile) -> int:
-    """Of the motor's shaft; 0: no counter."""
+    """Return the counts per turn of the motor's shaft; 0: no counter."""
     if joint.encoder is not None:
         return joint.encoder.counts_per_turn
     own = joint.counts_per_turn
@@ -115,15 +117,16 @@ def counts_per_turn(joint: Joint, profile: DriveProfile) -> int:
 
 
 def counter_bits(joint: Joint, profile: DriveProfile) -> int:
-    """0: no counter. What counts an encoder of this machine's never wraps."""
+    """Return the width of the counter in bits; 0: no counter. The count of an [encoder] never
+    wraps."""
     if joint.encoder is not None:
         return 64
     return profile.counter_bits if counts_per_turn(joint, profile) else 0
 
 
 def rad_per_count(joint: Joint, profile: DriveProfile) -> float:
-    """Wheel angle of one count: 2π / (counts per motor turn × motor turns per wheel turn), signed.
-    Without a counter the core does not use it."""
+    """Return the wheel angle of one count: 2π / (counts per motor turn × motor turns per wheel
+    turn), signed. Without a counter it is 1 or -1, and the core does not use it."""
     counts = counts_per_turn(joint, profile)
     backward = joint.inverted != (joint.encoder is not None and joint.encoder.reversed)
     sign = -1.0 if backward else 1.0
@@ -131,7 +134,7 @@ def rad_per_count(joint: Joint, profile: DriveProfile) -> float:
 
 
 def working_speed_rad_s(robot: Robot, name: str, profile: DriveProfile) -> float:
-    """The fastest that the limits request of a wheel, at most its own."""
+    """Return the highest speed that the limits request of a wheel, at most its own."""
     if isinstance(robot.base, JointsBase):
         return velocity_range_rad_s(robot.joint[name], profile)[1]
     limits = robot.limits
