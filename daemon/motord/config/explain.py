@@ -21,15 +21,6 @@ from motord.config.sections.quantities import conversion
 from motord.config.toml_lines import Path
 from motord_hal.base.nearest import nearest
 
-# Kinds and keys that are planned, but that this version does not have; * is any name.
-_LATER: dict[Path, frozenset[str]] = {
-    ("base", "kind"): frozenset({"joints"}),
-    ("line", "*", "kind"): frozenset({"canopen", "gpio", "serial"}),
-    ("input", "*", "kind"): frozenset({"zenoh"}),
-    ("publish", "*", "kind"): frozenset({"zenoh"}),
-    ("robot",): frozenset({"namespace"}),
-    ("publish", "*"): frozenset({"qos"}),
-}
 _NOT_A = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -152,8 +143,6 @@ def _quotes(kind: str, value: Any) -> str:
 
 def _unknown_key(path: Path, around: Node, value: Any) -> Complaint:
     key = str(path[-1])
-    if key in _LATER.get(_general(path[:-1]), ()):
-        return Complaint(path, "is not in this version of motord")
     known = list(around.get("properties", ()))
     if meant := conversion(key, known):
         text = f"unknown key (motord takes {meant.key}: {meant.how}"
@@ -170,17 +159,9 @@ def _unknown_key(path: Path, around: Node, value: Any) -> Complaint:
 
 
 def _no_choice(path: Path, node: Node, value: Any) -> str:
-    if isinstance(value, str) and value in _LATER.get(_general(path), ()):
-        return f"{_shown(value)} is not in this version of motord{_hint(allowed(node))}"
     near = candidates(value, map(str, choices(node))) if isinstance(value, str) else []
     meant = f"; did you mean {' or '.join(map(_shown, near))}?" if near else ""
     return f"{_shown(value)} is unknown{_hint(allowed(node) + meant)}"
-
-
-def _general(path: Path) -> Path:
-    """Return the path with * instead of the name of a line, a joint and so on."""
-    named = ("line", "joint", "input", "publish")
-    return (path[0], "*", *path[2:]) if len(path) > 1 and path[0] in named else path
 
 
 def _stand_in(node: Node, value: Any) -> Any:

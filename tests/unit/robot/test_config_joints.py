@@ -69,6 +69,11 @@ def test_a_single_joint_is_a_robot(loaded):
     assert [joint.takes for joint in understood(robot).joints] == ["position"]
 
 
+def test_the_time_of_a_stop_includes_the_rise_of_the_deceleration(loaded):
+    *_, belt = understood(loaded(PAN_TILT + BELT + "jerk_max_rad_s3 = 16.0\n")).joints
+    assert belt.stop_time_s == pytest.approx(4.0 / 8.0 + 8.0 / 16.0)
+
+
 REFUSED = {
     "velocity_max_rad_s = 2.0": ("", "velocity_max_rad_s is missing: how fast"),
     "position_min_rad = -1.5 ": ("# ", "position_min_rad is missing: how far"),
