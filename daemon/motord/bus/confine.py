@@ -23,7 +23,7 @@ REALTIME_RUNS_MAX_US, REALTIME_KILLED_AFTER_US = 50_000, 2_000_000
 """How long a real-time thread may run without a pause. Then the process gets SIGXCPU, which ends it
 unless it handles the signal, and at last SIGKILL. Source: RLIMIT_RTTIME in getrlimit(2)."""
 _OOM_SCORE_ADJ = 500
-"""Makes the kernel end this process before the daemon when the machine is out of memory:
+"""Makes the kernel end this process before the daemon when memory runs out:
 proc_pid_oom_score_adj(5)."""
 _PR_SET_NO_NEW_PRIVS, _PR_CAP_AMBIENT, _PR_CAP_AMBIENT_CLEAR_ALL = 38, 47, 4
 """include/uapi/linux/prctl.h"""

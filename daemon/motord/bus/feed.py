@@ -43,7 +43,7 @@ class Feed:
     """Holds one view of each topic. Filling it never waits; a slow reader loses messages."""
 
     def __init__(self, body: Body, rates_hz: Mapping[str, float], form: Form = as_message) -> None:
-        """Raises KeyError for an unknown topic."""
+        """`rates_hz`: rate of each topic. Raises KeyError for an unknown topic."""
         self._make = {name: form(TOPICS[name], body) for name in rates_hz}
         self._period_ns = {name: round(1e9 / rate_hz) for name, rate_hz in rates_hz.items()}
         self._due_ns = dict.fromkeys(rates_hz, 0)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord-bus`: the second process. It has no devices and needs no
-privileges; it may crash, hang or be slow."""
+"""`motord-bus`: the second process. It has no devices and needs no privileges; it may crash, hang
+or be slow."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _checked(fd: int) -> Robot:
 def _own_output() -> int:
     """Return a descriptor of the daemon's pipe that nothing else writes to; redirect what libraries
     print to standard error."""
-    fd = fcntl.fcntl(1, fcntl.F_DUPFD_CLOEXEC, 3)  # never 2, if the daemon has none
+    fd = fcntl.fcntl(1, fcntl.F_DUPFD_CLOEXEC, 3)  # 2 is free without standard error
     elsewhere = os.open(os.devnull, os.O_WRONLY) if sys.stderr is None else 2
     os.dup2(elsewhere, 1)
     return fd

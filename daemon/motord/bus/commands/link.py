@@ -48,7 +48,7 @@ SOCKET_FULL = (
 
 
 ALL_SEEN = -1
-"""Value of `seen`: send whatever another program has commanded meanwhile."""
+"""Value of `seen`: send the command even if other commands were sent meanwhile."""
 
 
 async def call(path: Path, method: str, **params: Any) -> Any:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A joystick at this machine (evdev). Releasing the dead-man button brings the robot to rest and
-gives the lease back; so does unplugging the device.
+"""A joystick that is connected to this machine (evdev). Releasing the dead-man button brings the
+robot to rest and gives the lease back; so does unplugging the device.
 
 A wireless pad whose radio fails looks like one that is held still until its driver notices.
 """

@@ -18,9 +18,9 @@ RECORD = "rosbag2"
 """Name of the record that holds `METADATA`."""
 _VERSION = 8
 _KEEP_LAST, _RELIABLE, _BEST_EFFORT, _TRANSIENT_LOCAL, _VOLATILE, _AUTOMATIC = 1, 1, 2, 1, 2, 1
-"""rmw/types.h"""
+"""Numbers of rmw/types.h."""
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
-"""RMW_DURATION_INFINITE"""
+"""RMW_DURATION_INFINITE of rmw/types.h."""
 _COUNTED = {
     "version": _VERSION,
     "storage_identifier": "mcap",
@@ -36,7 +36,7 @@ _COUNTED = {
     "ros_distro": "",
 }
 METADATA = {"serialized_metadata": json.dumps(_COUNTED)}
-"""Its counts are zero: readers take them from the file's index."""
+"""Content of the record. Its counts are zero: readers take them from the file's index."""
 
 
 def channel_metadata(topic: str, type_name: str) -> dict[str, str]:

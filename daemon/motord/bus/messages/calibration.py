@@ -25,7 +25,7 @@ REST_S = 2.0
 DISTANCE_MIN_M, DISTANCE_MAX_M = 0.2, 100.0
 ANGLE_MIN_RAD, ANGLE_MAX_RAD = math.pi, 100.0 * math.tau
 TURN_MAX_RAD = 0.1
-"""A path that turns by more is not straight."""
+"""Greatest turn of a path that counts as straight."""
 TIMEOUT_S, TIMEOUT_MAX_S = 300.0, 3600.0
 _NS = 1e-9
 _TRACK_M = 2.0

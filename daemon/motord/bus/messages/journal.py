@@ -23,7 +23,7 @@ _HEADER = struct.Struct("=8s10I2Q")
 the writer's process; records and checkpoints so far."""
 _SEQUENCE = struct.Struct("=Q")
 _MARGIN = 256
-"""Records that the writer may add while the oldest ones are read."""
+"""Number of records that the writer may add while the oldest ones are read."""
 _CHECKPOINT_EVERY = 1024
 """Number of records after each checkpoint, which is the state before the first of them."""
 _RECORDS_MAX = 2048

@@ -155,7 +155,7 @@ class Block:
         self.end = at
         self.constants: list[bytes] = []
         self.arguments: list[str] = []
-        """Expressions for `pack`; `constants[0]` is named CONSTANT_0."""
+        """Expressions that are passed to `pack`; `constants[0]` is named CONSTANT_0."""
         self._format, self._pending = ["<"], before
         for value in values:
             size = struct.calcsize(f"<{value.code[-1]}")

@@ -16,7 +16,7 @@ from motord.api.snapshot import STATES, ImuSnapshot, JointSnapshot, Snapshot
 if TYPE_CHECKING:
     from motord.bus.messages.topics import View
 
-__all__ = ["cos", "isfinite", "nan", "sin"]  # for the expressions
+__all__ = ["cos", "isfinite", "nan", "sin"]  # for the expressions of the tree
 UNMEASURED = 1e6
 """Variance of what wheels cannot measure: height, roll, pitch. Filters give it no weight."""
 NOT_MEASURED = (-1.0, *[0.0] * 8)

@@ -47,7 +47,7 @@ class Field:
 
     name: str
     kind: str
-    """A primitive, or the full name of a type."""
+    """Type of the value: a primitive, or the full name of a type."""
     count: int | None = None
     bounded: bool = False
     chars_max: int = 0

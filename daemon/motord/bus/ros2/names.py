@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names as ROS 2 middleware writes them on DDS (design.ros2.org, "Topic and Service name mapping to
-DDS"; REP-2011 for the hash)."""
+DDS")."""
 
 from __future__ import annotations
 

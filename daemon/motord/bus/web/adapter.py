@@ -63,7 +63,7 @@ NEEDS_TOKEN = "only a page that has shown the token may write the robot file"  #
 AT_ANY_TIME = (
     *(*URGENT, "disarm", "params.get"), *tape.CHANGES, *COMMISSION, *robot_file.LOOKS,
 )  # fmt: skip
-"""Calls that a running procedure does not exclude."""
+"""Calls that are accepted while a procedure runs."""
 
 
 class WebAdapter:
@@ -127,7 +127,7 @@ class WebAdapter:
         return 1.0 / max((one.rate_hz for one in self._viewers), default=1.0 / NO_VIEWER_S)
 
     def offer(self, view: View) -> None:
-        """Take a view; make one frame for all pages whose time has come."""
+        """Note the events of a view, and make one frame for all pages whose time has come."""
         self._events.look(view)
         if not self._viewers:
             return

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened to the robot, in sentences: from the log of the daemon, from its status, and from
-the log of this process."""
+"""Events of the robot as sentences: from the daemon's log, from its status, and from the log of
+this process."""
 
 from __future__ import annotations
 

@@ -33,9 +33,9 @@ class Driver:
     press: int = 0
     """Number of the newest hold of its pad."""
     over: int = 0
-    """Holds up to this number are over."""
+    """Number of the newest hold that is over; all earlier ones are over, too."""
     last_s: float = -math.inf
-    """When its newest command was passed on; -inf: it does not drive."""
+    """Time at which its newest command was passed on; -inf: it does not drive."""
     delays: Delays = field(default_factory=Delays)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pages do with recordings: list and download them, start and stop them, run them again."""
+"""Recordings on pages: list and download them, start and stop them, run them again."""
 
 from __future__ import annotations
 

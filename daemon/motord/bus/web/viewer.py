@@ -81,7 +81,7 @@ class Viewer:
         commissioning: Commissioning,
         serve: Serve,
     ) -> None:
-        """`seat`: None for a page that only watches."""
+        """`seat`: the driver's place; None for a page that only watches."""
         self.name = name
         self.may_command = seat is not None
         self.may_write = False
@@ -92,7 +92,7 @@ class Viewer:
         self._driver = Driver(name)
         self._rate_max_hz = self.rate_hz = rate_hz
         self.dropped = 0
-        """Frames that it did not get, because its link is slow."""
+        """Number of frames that it did not get, because its link is slow."""
         self._due_ns = 0
         self._newest: tuple[int, bytes] | None = None
         self._texts: deque[str] = deque()

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An ordinary ROS 2 node: its topics and services by their ROS names, and its place in the graph
-(ros_discovery_info, rmw_dds_common)."""
+"""An ordinary ROS 2 node on DDS: its topics and services by their ROS names, and its place in the
+graph (ros_discovery_info, rmw_dds_common)."""
 
 from __future__ import annotations
 

@@ -36,8 +36,8 @@ def _threads(process: int | str) -> Iterator[int]:
 
 
 def set_policy(policy: int, priority: int, process: int | str = "self") -> None:
-    """Set the scheduling policy of the receiving threads of a process. A thread that the system
-    does not permit to change stays as it is."""
+    """Set the scheduling policy of the receiving threads of a process. A thread stays as it is if
+    the system does not permit the change."""
     for thread in _threads(process):
         with suppress(OSError):
             os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))

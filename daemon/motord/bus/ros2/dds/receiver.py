@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands from DDS to the daemon without Python between them: the thread of Cyclone DDS that
-receives a cmd_vel calls `_motord_bus`, which judges it as the command gate does, and sends it under
-the input's lease (csrc/bus/bus_receiver.c). Python learns of it afterwards, for the log, the
-figures and the motions.
+"""Passes commands from DDS to the daemon without Python between them: the thread of Cyclone DDS
+that receives a cmd_vel calls `_motord_bus`, which checks it as the command gate does, and sends it
+under the input's lease (csrc/bus/bus_receiver.c). Python learns of the command afterwards, for the
+log, the figures and the motions.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ RESULTS_DEPTH = 100
 default of 10 loses answers."""
 FEEDBACK_EVERY_S = 0.1
 STATUS = Quality(depth=1, latched=True)
-"""rcl_action_qos_profile_status_default."""
+"""Quality of service of the status topic: rcl_action_qos_profile_status_default."""
 
 _log = logging.getLogger(__name__)
 

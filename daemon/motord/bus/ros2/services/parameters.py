@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the node, as the services and the topic that every ROS 2 node has for them."""
+"""Serves the node's parameters by the services and the topic that every ROS 2 node has for them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from motord.config import Robot
 
 NOT_SET, DOUBLE = 0, 3
-"""rcl_interfaces/msg/ParameterType."""
+"""Numbers of rcl_interfaces/msg/ParameterType."""
 DEPTH = 1000
-"""rmw_qos_profile_parameters."""
+"""Depth of rmw_qos_profile_parameters."""
 _EMPTY: dict[str, Any] = {
     "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
     "byte_array_value": (), "bool_array_value": (), "integer_array_value": (),

@@ -19,7 +19,7 @@ from motord.bus.commands.gate import NotTaken
 from motord.bus.messages import json_form
 
 NICENESS = 19
-"""Every other process runs first."""
+"""Lowest priority: every other process runs first."""
 
 _log = logging.getLogger(__name__)
 

@@ -102,7 +102,7 @@ class Traces(TaskOwner):
         if not raw.endswith(b"\n"):  # it was killed in the middle of a line
             return
         row = json.loads(raw)
-        if "result" not in row:  # why it ends
+        if "result" not in row:  # the reason why the command ends
             look.problem = row.get("error", "")
             return
         look.seen += 1
