@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Buses: they publish the state and take commands. No devices, no C core."""
+"""Buses, which publish the state and take commands. They have no devices and no C core."""

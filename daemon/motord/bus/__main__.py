@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord-bus`, and `python -m motord.bus`: motord/bus/process.py."""
+"""Entry point of `motord-bus` and `python -m motord.bus`: motord/bus/process.py."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ CHECKED = "--checked-fd"
 
 
 def main() -> None:
-    """Run the second process; exits it."""
+    """Run the second process, and exit."""
     confine()
     if CHECKED in sys.argv:
         validation.handed_over()

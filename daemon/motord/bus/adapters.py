@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a bus's kind to the class that moves its bytes, in the second process."""
+"""Finds the class for a kind of bus, in the second process."""
 
 from __future__ import annotations
 
@@ -36,33 +36,33 @@ INPUTS = MappingProxyType(
 )
 PUBLISHER_POINTS = "motord.publishers"
 INPUT_POINTS = "motord.inputs"
-"""Groups in which other packages may offer kinds of their own."""
+"""Groups of entry points in which other packages may offer kinds of their own."""
 
 
 class Adapter(Protocol):
-    """Made of the section's name, the section and the Runtime. What it does not take in time of its
-    feed is lost."""
+    """An adapter of a bus. It is created with the section's name, the section and the Runtime. What
+    it does not take from its feed in time is lost."""
 
     async def run(self) -> None:
-        """Runs until cancelled. It logs a failure outside motord once and goes on. An adapter that
-        raises is run again (motord.bus.guard)."""
+        """Run until cancelled. Log a failure outside motord once, and go on. An adapter that raises
+        is run again (motord.bus.guard)."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class RecorderState:
-    """What a recorder does now."""
+    """State of a recorder."""
 
     mode: str
-    """As McapPublish.mode."""
+    """Mode of the recorder: see `McapPublish.mode`."""
     recording: bool
-    """False: it waits for its start."""
+    """Whether it records; False: it waits for its start."""
     file: str | None = None
-    """Name of the file that it writes; None: it writes none."""
+    """Name of the file that it writes now; None: no file is open."""
     since_wall_time_s: float | None = None
-    """When that file was begun."""
+    """Time at which that file was begun."""
     failing: bool = False
-    """It cannot write: the log names the reason."""
+    """Whether it fails to write; the log names the reason."""
 
 
 class Recorder(Protocol):
@@ -72,17 +72,17 @@ class Recorder(Protocol):
     def state(self) -> RecorderState: ...
 
     def start(self) -> None:
-        """Begin a file, unless it records. Raises NotTaken: it is not of mode "manual"."""
+        """Begin a file, unless it records already. Raises NotTaken if its mode is not "manual"."""
         ...
 
     def stop(self) -> None:
-        """End the file. Raises NotTaken: it is not of mode "manual"."""
+        """End the file. Raises NotTaken if its mode is not "manual"."""
         ...
 
 
 def find(where: str, kind: str, table: Mapping[str, str], group: str) -> Any:
-    """What makes an adapter of that kind. Raises LookupError for a kind that no package offers, and
-    ImportError where a package that it needs is missing."""
+    """Return the class or function that creates an adapter of that kind. Raises LookupError for a
+    kind that no package offers, and ImportError if a package that it needs is missing."""
     if kind in table:
         module, _, attribute = table[kind].partition(":")
         return getattr(import_module(module), attribute)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an adapter of the second process is fed: each topic at its own rate, and newest wins."""
+"""The feed of an adapter in the second process: each topic at its own rate, only its newest
+message."""
 
 from __future__ import annotations
 
@@ -16,25 +17,25 @@ _log = logging.getLogger(__name__)
 
 
 class TopicMessage(NamedTuple):
-    """A message, in the form of its feed, and its topic."""
+    """A message in the form of its feed, and its topic."""
 
     topic: Topic
     message: Any
 
 
 class Sink(Protocol):
-    """What takes views, counts what it has taken and lost, and never waits."""
+    """Takes views, counts what it has taken and lost, and never waits."""
 
     taken: int
     dropped: int
 
     @property
     def period_s(self) -> float:
-        """The time between two views that it needs."""
+        """Time between two views that it needs."""
         ...
 
     def offer(self, view: View) -> None:
-        """Take it, or drop it."""
+        """Take a view, or drop it."""
         ...
 
 
@@ -42,7 +43,7 @@ class Feed:
     """Holds one view of each topic. Filling it never waits; a slow reader loses messages."""
 
     def __init__(self, body: Body, rates_hz: Mapping[str, float], form: Form = as_message) -> None:
-        """Raises KeyError for a topic that there is not."""
+        """`rates_hz`: rate of each topic. Raises KeyError for an unknown topic."""
         self._make = {name: form(TOPICS[name], body) for name in rates_hz}
         self._period_ns = {name: round(1e9 / rate_hz) for name, rate_hz in rates_hz.items()}
         self._due_ns = dict.fromkeys(rates_hz, 0)
@@ -51,12 +52,13 @@ class Feed:
         self._failing = False
         self.taken = 0
         self.dropped = 0
-        """Replaced by newer ones before they were taken."""
+        """Messages that were replaced by newer ones before they were taken, or did not fit their
+        form."""
         self._taken_of = dict.fromkeys(rates_hz, 0)
 
     def report(self) -> dict[str, Any]:
-        """For `status`: what was taken and dropped, and of each topic its rate in Hz and how many
-        messages were taken."""
+        """Return the counts for `status`: messages that were taken and dropped, and for each topic
+        its rate in Hz and the messages taken."""
         topics = {
             name: {"rate_hz": round(1e9 / self._period_ns[name], 3), "taken": taken}
             for name, taken in self._taken_of.items()
@@ -65,12 +67,12 @@ class Feed:
 
     @property
     def period_s(self) -> float:
-        """Of the fastest topic."""
+        """Period of the fastest topic."""
         return min(self._period_ns.values()) / 1e9
 
     def offer(self, view: View) -> None:
-        """Kept for each topic whose time has come, by the view's stamp; a late one is not caught
-        up."""
+        """Keep the view for each topic whose time has come, by the view's stamp. Missed times of a
+        topic are not made up for."""
         stamp_ns = view.snapshot.stamp_ns
         for name, due_ns in self._due_ns.items():
             if stamp_ns < due_ns:
@@ -82,8 +84,8 @@ class Feed:
             self._filled.set()
 
     async def __aiter__(self) -> AsyncIterator[TopicMessage]:
-        """Each message when it is taken; what cannot be encoded is left out, what does not fit its
-        form is lost."""
+        """Yield each message when the reader takes it. Topics without a message are left out; a
+        message that does not fit its form is lost."""
         while True:
             await self._filled.wait()
             self._filled.clear()
@@ -101,7 +103,7 @@ class Feed:
                     yield TopicMessage(TOPICS[name], message)
 
     def _lose(self, error: ValueError) -> None:
-        """Logged once."""
+        """Count a lost message, and log the first one."""
         self.dropped += 1
         if not self._failing:
             self._failing = True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An adapter that fails is started again by itself, without an effect on other buses and inputs."""
+"""Starts an adapter that fails again, without an effect on other buses and inputs."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from motord.bus.adapters import Adapter
 
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
 WELL_AFTER_S = 60.0
-"""A bus that has worked for this long may come back at once, and is reported again."""
+"""An adapter that has worked for this long is restarted soon after a failure, and the failure is
+logged."""
 
 _log = logging.getLogger(__name__)
 
 
 async def keep(where: str, adapter: Adapter, failures: MutableMapping[str, int]) -> None:
-    """Run it until it ends by itself or is cancelled. Each failure is counted under its name; only
-    the first of a series is logged. MemoryError goes on: the whole process has no room."""
+    """Run an adapter until it ends by itself or is cancelled. Count each failure under `where`, but
+    log only the first of a series. MemoryError is raised: the whole process has no room."""
     again_s, failing = AGAIN_MIN_S, False
     while True:
         began_s = time.monotonic()
@@ -40,8 +41,9 @@ async def keep(where: str, adapter: Adapter, failures: MutableMapping[str, int])
 
 
 async def _life(adapter: Adapter) -> BaseException | None:
-    """What it failed with. A task of its own: until Python 3.12 a group leaves its task marked as
-    one that is to be cancelled when a member fails while the group ends."""
+    """Run the adapter and return its failure; None: it has ended by itself. Runs in a task of its
+    own: until Python 3.12 a group leaves its task marked as one that is to be cancelled when a
+    member fails while the group ends."""
     error = None
     try:
         await adapter.run()
@@ -53,7 +55,7 @@ async def _life(adapter: Adapter) -> BaseException | None:
 
 
 def first(errors: BaseExceptionGroup[BaseException]) -> BaseException:
-    """One of a group, to be logged."""
+    """Return the first error of a group, for the log."""
     error: BaseException = errors
     while isinstance(error, BaseExceptionGroup):
         error = error.exceptions[0]
@@ -61,7 +63,8 @@ def first(errors: BaseExceptionGroup[BaseException]) -> BaseException:
 
 
 def raise_if_cancelled() -> None:
-    """A client library may answer a cancellation with an error of its own."""
+    """Raise CancelledError if this task was cancelled: a client library may answer a cancellation
+    with an error of its own."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A port of the second process that speaks HTTP: figures and WebSockets, by aiohttp.
+"""A port of the second process that serves HTTP: figures and WebSockets, by aiohttp.
 
-A client that has connected and sent no request yet is a stranger: there are at most STRANGERS_MAX
-of them, each for at most ANSWER_WITHIN_S. What is no WebSocket ends with its answer, and one whose
-client takes nothing of that for STANDS_MAX_S is cut off, as is a WebSocket that has ended."""
+A client that has connected and sent no request yet is a stranger. There are at most STRANGERS_MAX
+strangers, each for at most ANSWER_WITHIN_S. A connection that is no WebSocket ends after its
+answer. If its client takes nothing of the answer for STANDS_MAX_S, the connection is cut off; so is
+a WebSocket that has ended."""
 
 from __future__ import annotations
 
@@ -21,12 +22,12 @@ from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.web_protocol import RequestHandler
 
 STRANGERS_MAX = 32
-"""One more, and the oldest has to go: each costs a descriptor."""
+"""With one more stranger the oldest is dropped: each costs a descriptor."""
 ANSWER_WITHIN_S = 5.0
 STANDS_MAX_S = 30.0
 LISTEN_AGAIN_S = 5.0
 _ACKNOWLEDGED = struct.Struct("120x Q")
-"""tcpi_bytes_acked of struct tcp_info: include/uapi/linux/tcp.h, since Linux 4.1"""
+"""tcpi_bytes_acked of struct tcp_info: include/uapi/linux/tcp.h, since Linux 4.1."""
 
 Answer = Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]
 
@@ -34,7 +35,8 @@ _log = logging.getLogger(__name__)
 
 
 class _OurOwn(logging.Filter):
-    """aiohttp logs what is no request with a traceback: a stranger could fill the journal."""
+    """Drops log records about data that is no HTTP request. aiohttp logs it with a traceback: a
+    stranger could fill the journal."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         error = record.exc_info[1] if record.exc_info else None
@@ -48,8 +50,8 @@ _requests_log.addFilter(_OurOwn())
 def tls_context(
     cert_file: str | None, key_file: str | None, place: Callable[[str], Path]
 ) -> ssl.SSLContext | None:
-    """None: without TLS. `place`: where a file of that name is. Raises OSError for files that
-    cannot be used."""
+    """Return the TLS context of a server; None: without TLS. `place` returns the path of a file by
+    its name. Raises OSError for files that cannot be used."""
     if cert_file is None or key_file is None:
         return None
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
@@ -58,8 +60,8 @@ def tls_context(
 
 
 class HttpServer:
-    """`where`: the table of the robot file, for the log. `answer` is asked in a task of its own for
-    each request."""
+    """An HTTP server. `where`: the table of the robot file, for the log. `answer` is called for
+    each request, in a task of its own."""
 
     def __init__(
         self, where: str, host: str, port: int, answer: Answer, tls: ssl.SSLContext | None = None
@@ -70,7 +72,7 @@ class HttpServer:
         self._tls = tls
 
     async def run(self) -> None:
-        """Listen until cancelled; tried again where the port is taken."""
+        """Listen until cancelled; try again and again while the port is taken."""
         failing = False
         while True:
             protocols = _Protocols(self._answered)
@@ -102,7 +104,7 @@ class HttpServer:
 
 
 class _Protocols(web.Server):
-    """Makes a protocol for each connection, and keeps the strangers among them, oldest first."""
+    """Creates a protocol for each connection, and keeps the strangers among them, oldest first."""
 
     def __init__(self, answer: Answer) -> None:
         super().__init__(
@@ -127,7 +129,7 @@ class _Protocols(web.Server):
         super().connection_lost(handler, exc)
 
     def end(self) -> None:
-        """All connections, at once."""
+        """End all connections at once."""
         for handler in self.connections:
             if handler.transport is not None:
                 handler.transport.abort()
@@ -145,13 +147,14 @@ class _Protocols(web.Server):
             self._watch(request.protocol, None)
 
     def _watch(self, handler: RequestHandler, before: tuple[int, int] | None) -> None:
-        """Until its connection has ended; `before`: its progress at the look before."""
+        """Cut the connection off if it makes no progress, and look again later until it has ended.
+        `before`: its progress at the last look; None at the first."""
         transport = handler.transport
         if transport is None:  # it has ended
             return
         now = progress(transport)
         if now == before:
-            # Not transport.abort(): what sends a file by the kernel would wait for ever.
+            # Not transport.abort(): it would leave a task that sends a file waiting for ever.
             with contextlib.suppress(OSError):
                 transport.get_extra_info("socket").shutdown(socket.SHUT_RDWR)
         later = asyncio.get_running_loop().call_later
@@ -159,13 +162,13 @@ class _Protocols(web.Server):
 
 
 def progress(transport: asyncio.Transport) -> tuple[int, int]:
-    """What changes while a client takes what it is sent: bytes that wait here, and bytes that it
-    has acknowledged, as the kernel sends files past the transport."""
+    """Return figures that change while a client takes what it is sent: bytes that wait here, and
+    bytes that it has acknowledged, because the kernel sends files without the transport."""
     try:
         info = transport.get_extra_info("socket").getsockopt(
             socket.IPPROTO_TCP, socket.TCP_INFO, _ACKNOWLEDGED.size
         )
         acknowledged: int = _ACKNOWLEDGED.unpack(info)[0]
-    except (AttributeError, OSError, struct.error):  # it has ended, or the kernel does not say
+    except (AttributeError, OSError, struct.error):  # it has ended, or an older kernel
         acknowledged = 0
     return transport.get_write_buffer_size(), acknowledged

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the threads of a bus's library to the event loop."""
+"""Passes items from the threads of a bus's library to the event loop."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from typing import Any, Generic, TypeVar
 from motord.bus.commands.gate import NotTaken
 
 ASKED_MAX = 1024
-"""Questions that wait to be begun."""
+"""Largest number of requests that wait to be started."""
 _ENDING = "motord-bus is ending"
 _T = TypeVar("_T")
 
 
 class Inbox(Generic[_T]):
-    """The newest replaces the oldest."""
+    """A queue from any thread to the event loop; when it is full, the newest item replaces the
+    oldest."""
 
     def __init__(self, size: int, take: Callable[[_T], None]) -> None:
         self._items: deque[_T] = deque(maxlen=size)
@@ -27,11 +28,11 @@ class Inbox(Generic[_T]):
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def open(self) -> None:
-        """In the event loop that is to be woken."""
+        """Start passing items to the event loop that calls this."""
         self._loop = asyncio.get_running_loop()
 
     def put(self, item: _T) -> None:
-        """From any thread."""
+        """Add an item, from any thread."""
         self._items.append(item)
         if self._woken or self._loop is None or self._loop.is_closed():
             return
@@ -39,14 +40,14 @@ class Inbox(Generic[_T]):
         self._loop.call_soon_threadsafe(self.empty)
 
     def empty(self) -> None:
-        """Take all there is now, in the event loop."""
-        self._woken = False  # before the last look: what comes after it wakes again
+        """Take all items, in the event loop."""
+        self._woken = False  # before the last look: later items wake the loop again
         while self._items:
             self._take(self._items.popleft())
 
 
 class ThreadBridge:
-    """What only the event loop may do, for threads that wait for the answer."""
+    """Runs coroutines in the event loop for threads that wait for the answer."""
 
     def __init__(self) -> None:
         self._asked: Inbox[tuple[Callable[[], Awaitable[Any]], Future[Any]]] = Inbox(
@@ -56,18 +57,19 @@ class ThreadBridge:
         self._over = False
 
     async def run(self) -> None:
-        """Until cancelled: callers that wait then, or come later, learn that it ends."""
+        """Serve callers until cancelled. Callers that wait then, or call later, get NotTaken."""
         self._asked.open()
         async with asyncio.TaskGroup() as self._tasks:
-            self._asked.empty()  # those before it
+            self._asked.empty()  # requests from before this call
             try:
                 await asyncio.Event().wait()
             finally:
                 self._tasks, self._over = None, True
-                self._asked.empty()  # a later caller sees that it is over
+                self._asked.empty()  # later callers get NotTaken
 
     def ask(self, make: Callable[[], Awaitable[_T]], within_s: float) -> _T:
-        """From any thread but the loop's own. Raises NotTaken, also where there is no answer."""
+        """Run `make` in the event loop and return its answer, from any thread but the loop's own.
+        Raises NotTaken, also if there is no answer in time."""
         answer: Future[_T] = Future()
         self._asked.put((make, answer))
         if self._over:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Warnings and errors of this process, for an adapter that publishes them."""
+"""Passes warnings and errors of this process to an adapter that publishes them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ WAITING_MAX = 100
 
 
 class LogListener(logging.Handler):
-    """Records come from any thread; `take` is called in the event loop, with the newest ones."""
+    """Log handler for records from any thread. `take` is called in the event loop; of too many
+    records the oldest are lost."""
 
     def __init__(self, take: Callable[[logging.LogRecord], None]) -> None:
         super().__init__(logging.WARNING)
@@ -21,7 +22,7 @@ class LogListener(logging.Handler):
 
     @contextlib.contextmanager
     def listening(self) -> Iterator[None]:
-        """Take what is logged meanwhile."""
+        """Pass on what is logged while the context lasts."""
         self._waiting.open()
         logging.getLogger().addHandler(self)
         try:
@@ -30,5 +31,5 @@ class LogListener(logging.Handler):
             logging.getLogger().removeHandler(self)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """As logging.Handler.emit."""
+        """Implement `logging.Handler.emit`."""
         self._waiting.put(record)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters as every bus shows them: the limits of the base, or of each joint of a robot without
-one, which may be changed while the robot runs, and measures of the robot file, which may not. The
+"""Parameters that every bus shows: the limits of the base, or of each joint of a robot without a
+base, which may be changed while the robot runs, and measures of the robot file, which may not. The
 daemon decides what may be changed, and gives the reasons."""
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _log = logging.getLogger(__name__)
 
 class Tunable:
     def __init__(self, robot: Robot, call: Call) -> None:
-        """`call` calls the daemon; it raises ClientError, and NotTaken for a change that is not
-        now."""
+        """`call` calls the daemon. It raises ClientError, and NotTaken for a change that is not
+        possible now."""
         self._call = call
         self._voice = RateLimitedLog(_log)
         drives = robot.base.kind != "joints"
@@ -43,7 +43,8 @@ class Tunable:
         }
 
     async def known(self) -> dict[str, dict[str, Any]]:
-        """By name, as params.list has them; without the daemon's, when it does not answer."""
+        """Return the parameters by name, as params.list describes them. If the daemon does not
+        answer, return only those of the robot file."""
         try:
             listed: Mapping[str, dict[str, Any]] = await self._call("params.list")
         except ClientError as error:
@@ -56,7 +57,7 @@ class Tunable:
         return name.startswith(self._tunable) and _GAINS not in name
 
     def problem(self, name: str) -> str | None:
-        """Why it cannot be changed, as far as the daemon need not be asked for it."""
+        """Return why a parameter cannot be changed; None if only the daemon can decide that."""
         if name in self.fixed:
             return f"{name} comes from the robot file and cannot be changed while the daemon runs"
         if not self._is_limit(name):
@@ -64,7 +65,7 @@ class Tunable:
         return None
 
     async def change(self, wanted: Mapping[str, float]) -> None:
-        """All or none; infinity is no limit. Raises NotTaken."""
+        """Change all of the parameters or none; infinity stands for no limit. Raises NotTaken."""
         for name, value in wanted.items():
             if (reason := self.problem(name)) is not None:
                 raise NotTaken(reason)
@@ -78,5 +79,5 @@ class Tunable:
 
 
 def value_of(about: Mapping[str, Any]) -> float:
-    """JSON has no infinity: null is one."""
+    """Return the value of a parameter; null stands for infinity, which JSON does not have."""
     return math.inf if about["value"] is None else float(about["value"])

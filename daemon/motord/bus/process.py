@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord-bus`: the second process. It has no devices and needs no
-privileges; it may crash, hang or be slow."""
+"""`motord-bus`: the second process. It has no devices and needs no privileges; it may crash, hang
+or be slow."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def main(
 
 
 def _checked(fd: int) -> Robot:
-    """The robot that the daemon runs, also where its file was edited since."""
+    """Return the robot that the daemon runs, even if its file was edited since."""
     with os.fdopen(fd, "rb") as file:
         robot = pickle.load(file)
     assert isinstance(robot, Robot)
@@ -86,16 +86,17 @@ def _checked(fd: int) -> Robot:
 
 
 def _own_output() -> int:
-    """A descriptor of the daemon's pipe that nothing else writes to: what libraries print goes to
-    standard error."""
-    fd = fcntl.fcntl(1, fcntl.F_DUPFD_CLOEXEC, 3)  # never 2, if the daemon has none
+    """Return a descriptor of the daemon's pipe that nothing else writes to; redirect what libraries
+    print to standard error."""
+    fd = fcntl.fcntl(1, fcntl.F_DUPFD_CLOEXEC, 3)  # 2 is free without standard error
     elsewhere = os.open(os.devnull, os.O_WRONLY) if sys.stderr is None else 2
     os.dup2(elsewhere, 1)
     return fd
 
 
 async def _run(robot: Robot, path: Path, beats: int | None) -> None:
-    """`beats`: where to write heartbeats, if the daemon reads them."""
+    """Run the process until a signal ends it. `beats`: descriptor for heartbeats; None: the daemon
+    reads none."""
     runtime, end = Runtime(robot, path), asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -118,7 +119,7 @@ def _until_closed(fd: int, end: asyncio.Event) -> None:
 
 
 async def _beat(runtime: Runtime, fd: int) -> None:
-    """A line of figures a second: without them the daemon takes this process for hung."""
+    """Write a line of figures each second: without them the daemon takes this process for hung."""
     os.set_blocking(fd, False)  # a pipe of our own
     while True:
         line = json.dumps(runtime.figures(), separators=(",", ":")).encode() + b"\n"

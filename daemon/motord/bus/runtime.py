@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The second process at work: it reads the state page, calls the daemon for the rest, and feeds
-the adapters. Nothing here can make the daemon wait."""
+"""The work of the second process: it reads the state page, calls the daemon for everything else,
+and feeds the adapters. Nothing here can make the daemon wait."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ BROKEN = (
     *(ArithmeticError, AssertionError, AttributeError, NameError, RuntimeError),
     *(SyntaxError, TypeError),
 )
-"""Errors of another package's code that was never tried."""
+"""Errors that may come from code of another package that was never tried."""
 
 _log = logging.getLogger(__name__)
 
 
 def of_this_robot(section: Any, robot: Robot) -> Any:
-    """The section without topics of sensors that the robot does not have."""
+    """Return the section without the topics of sensors that the robot does not have."""
     from motord.config import BusPublish
 
     if robot.imu is not None or not isinstance(section, BusPublish):
@@ -66,7 +66,7 @@ def of_this_robot(section: Any, robot: Robot) -> Any:
 
 
 class Runtime:
-    """What adapters are given: the robot, its newest state, feeds of it, and what is needed to
+    """What adapters can use: the robot, its newest state, feeds of it, and what is needed to
     command."""
 
     def __init__(self, robot: Robot, path: Path) -> None:
@@ -75,15 +75,15 @@ class Runtime:
         self.path = path
         self.body = Body(robot=robot.robot.name, joints=tuple(robot.joint))
         self.view: View | None = None
-        """None: the daemon has not been seen, or is gone."""
+        """The newest view; None: the daemon has not been seen yet, or is gone."""
         self.feeds: dict[str, Sink] = {}
         self.sources: dict[str, Source] = {}
         self.recorders: dict[str, Recorder] = {}
-        """Of [publish.*] of kind "mcap"."""
+        """Recorders by name: the [publish.*] of kind "mcap"."""
         self._stops = StopSender(path)
         self._gaps: list[Gap] = []
         self._failures: dict[str, int] = {}
-        """How often the adapter of a section has failed, where it has."""
+        """Number of failures, by the section of the adapter that has failed."""
         self._asked = asyncio.Event()
 
     # ------------------------------------------------------------------------------- for adapters
@@ -94,17 +94,18 @@ class Runtime:
         form: Form = as_message,
         body: Body | None = None,
     ) -> Feed:
-        """Topics by their rates, for the adapter of that name. `body`: `self.body` unless given."""
+        """Create the feed of the adapter with that name. `body`: `self.body` unless given."""
         made = self.feeds[name] = Feed(body or self.body, rates_hz, form)
         return made
 
     def source(self, name: str) -> Source:
-        """The right to command of [input.NAME]; the adapter runs it."""
+        """Create the right to command of [input.NAME]; the adapter runs it."""
         self.sources[name] = Source(self.path, name)
         return self.sources[name]
 
     def gap(self, longest_s: float) -> Gap:
-        """Whether this process has just stood still for longer than that."""
+        """Return a detector of times in which this process stood still for longer than
+        `longest_s`."""
         self._gaps.append(Gap(longest_s))
         return self._gaps[-1]
 
@@ -115,8 +116,8 @@ class Runtime:
         return await call(self.path, method, **params)
 
     async def _halt(self, method: str, params: dict[str, Any]) -> Any:
-        """Requested by datagram, whatever hinders a connection; confirmed by the daemon's answer,
-        or by the state page where there is none."""
+        """Request a stop by datagram, which also works when a connection is impossible. The
+        daemon's answer confirms it, or the state page if there is no answer."""
         requested_ns = time.monotonic_ns()
         sent = await self._stops.send(method)
         try:
@@ -130,7 +131,8 @@ class Runtime:
             return {"state": state}
 
     async def _outcome(self, method: str, requested_ns: int) -> str | None:
-        """None: the state page does not show it in time."""
+        """Return the state in which the request ended, by the state page; None if the page does not
+        show it in time."""
         with contextlib.suppress(TimeoutError):
             async with within(CONFIRM_WITHIN_S):
                 while True:
@@ -142,15 +144,16 @@ class Runtime:
         return None
 
     def page(self) -> StatePage:
-        """The robot's state page. Raises NoPage."""
+        """Open the robot's state page. Raises NoPage."""
         return StatePage.open(self.robot.robot.name)
 
     def beside_robot_file(self, name: str) -> Path:
-        """A file that the robot file names: beside it, unless its path is absolute."""
+        """Return the path of a file that the robot file names: beside it, unless the name is
+        absolute."""
         return self.robot.path.parent / name
 
     def figures(self) -> dict[str, Any]:
-        """What went through, for the daemon's `status`."""
+        """Return counts of messages and commands, for the daemon's `status`."""
         publishers = {
             name: feed.report()
             if isinstance(feed, Feed)
@@ -176,7 +179,7 @@ class Runtime:
 
     # ------------------------------------------------------------------------------------ at work
     async def run(self) -> None:
-        """Until cancelled."""
+        """Run all adapters until cancelled."""
         adapters = self._adapters()
         with self._stops.open():
             async with asyncio.TaskGroup() as tasks:
@@ -188,7 +191,7 @@ class Runtime:
                 tasks.create_task(self._ask())
 
     def _adapters(self) -> dict[str, Adapter]:
-        """By their sections."""
+        """Return the adapters by their sections."""
         from motord.config import BusInput, RclpyInput, StdoutPublish, UdpPublish
 
         publishers, inputs = (PUBLISHERS, PUBLISHER_POINTS), (INPUTS, INPUT_POINTS)
@@ -211,7 +214,8 @@ class Runtime:
     def _adapter(
         self, where: str, section: Any, table: Mapping[str, str], group: str
     ) -> Adapter | None:
-        """None, and a line in the log, where it cannot be created: the others go on without it."""
+        """Create an adapter. If it cannot be created, log the reason and return None: the others go
+        on without it."""
         kind = section.adapter if section.kind == "other" else section.kind
         try:
             adapter: Adapter = find(where, kind, table, group)(
@@ -229,7 +233,7 @@ class Runtime:
         return None
 
     async def _look(self) -> None:
-        """Feed what the state page shows, as long as there is one."""
+        """Feed what the state page shows, as long as there is such a page."""
         reported = False
         while True:
             try:
@@ -244,7 +248,7 @@ class Runtime:
             await asyncio.sleep(ATTACH_AGAIN_S)
 
     async def _watch(self, page: StatePage) -> None:
-        """Until the page is gone."""
+        """Feed what the page shows, until it is gone."""
         number, checked_s = 0, time.monotonic()
         while True:
             if page.published != number and (snapshot := page.read()) is not None:
@@ -276,7 +280,7 @@ class Runtime:
             feed.offer(self.view)
 
     async def _ask(self) -> None:
-        """The daemon's own status, from time to time and when another source commands."""
+        """Call the daemon for its status, from time to time and when another source commands."""
         while True:
             try:
                 asked_ns, status = time.monotonic_ns(), await self.call("status")

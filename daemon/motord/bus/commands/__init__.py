@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands from any bus: their token, their age, and their lease."""
+"""Commands from any bus: their tokens, their ages, and their leases."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a message was in transit, by the sender's clock, which need not be set. The time of its
-fastest message is unknown and counts as zero."""
+"""Computes how long a message was in transit, by the sender's clock, which need not be set. The
+transit time of the sender's fastest message is unknown and counts as zero."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 
 WINDOW_NS = 5_000_000_000
-"""A sender whose clock was set back is not believed for this long, twice at most."""
+"""Length of a window. A sender whose clock was set back gets wrong times for at most two
+windows."""
 SENDERS_MAX = 64
 
 
 @dataclass(slots=True)
 class _Clock:
-    """The least difference of our clock to the sender's, in ns, of this window and of the one
+    """The least difference of our clock to the sender's, in ns, in this window and in the one
     before it."""
 
     since_ns: int
@@ -25,13 +26,14 @@ class _Clock:
 
 
 class Delays:
-    """Of the senders of one topic."""
+    """Transit times of the messages of one topic, by sender."""
 
     def __init__(self) -> None:
         self._clocks: OrderedDict[Hashable, _Clock] = OrderedDict()
 
     def waited_s(self, sender: Hashable, sent_ns: int, now_ns: int | None = None) -> float:
-        """Of a message with its time of sending. `now_ns`: any clock of ours that is not set."""
+        """Return how long a message was in transit. `sent_ns`: time of sending, by the sender's
+        clock. `now_ns`: time by any clock of ours that is never set; by default CLOCK_BOOTTIME."""
         now_ns = time.clock_gettime_ns(time.CLOCK_BOOTTIME) if now_ns is None else now_ns
         took_ns = now_ns - sent_ns
         clock = self._clocks.get(sender)

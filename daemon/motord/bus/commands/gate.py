@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The check of commands of networked inputs: the token, what is requested, and how
-old it is. What passes goes to the daemon, which judges it as every other command."""
+"""The check of commands of networked inputs: the token, the form, and the age. A command that
+passes goes to the daemon, which checks it as every other command."""
 
 from __future__ import annotations
 
@@ -21,28 +21,31 @@ if TYPE_CHECKING:
     from motord.config import BusInput
 
 METHODS = ("arm", "disarm", "stop", "estop", "reset", "reset_odometry", "status")
-"""What may be called."""
+"""Methods of the daemon that may be called."""
 TRIGGERS = tuple(method for method in METHODS if method != "status")
-"""Those that are services of type std_srvs/srv/Trigger."""
+"""Methods that are services of type std_srvs/srv/Trigger."""
 COMMANDS = ("cmd_vel", "joint_commands")
-"""Topics that are taken: CommandGate.take."""
+"""Topics of commands: see `CommandGate.take`."""
 URGENT = ("estop", "stop")
 ANY_TIME = (*URGENT, "disarm", "status", "params.list")
-"""Accepted even after they waited for this process: they only read, or end at rest."""
+"""Methods that are accepted even if the call has waited for this process: they only read, or end at
+rest."""
 CALL_OLD_S = 0.5
 """A call that waited here for less time is accepted: the short lifetime of commands does not apply
 to calls."""
 CALLS_MAX = 4
 URGENT_MAX = 16
-"""Calls of one urgent method that the daemon has not answered yet."""
+"""Largest number of calls of one urgent method that the daemon has not answered yet."""
 FUTURE_S = 0.5
-"""A stamp further ahead comes from a clock that differs from ours: the command's age is unknown."""
+"""Largest lead of a stamp over our clock. A later stamp comes from a clock that differs from ours,
+and the command's age is unknown."""
 OLD_S = 3600.0
-"""The greatest age that is passed on: any command of that age is refused."""
+"""Greatest age that is passed on: any command of that age is refused."""
 ZERO_STAMP = "its stamp is zero: send the time, or set stamped = false"
 AHEAD = "its stamp is in the future: synchronise the clocks"
 ABSURD = 10.0
-"""Times the limit: OUT_OF_RANGE of csrc/loop/command/arbiter.c."""
+"""Multiple of the limit beyond which a command counts as absurd: OUT_OF_RANGE of
+csrc/loop/command/arbiter.c."""
 SAY_AGAIN_S = 10.0
 _SHORT = 40
 _EITHER = ("velocity", "position")
@@ -51,15 +54,15 @@ _log = logging.getLogger(__name__)
 
 
 class NotTaken(Exception):
-    """A command is not passed on; the text says why."""
+    """A command is not passed on; the text is the reason."""
 
 
 class CommandGate:
     """The command gate of one networked input."""
 
     def __init__(self, name: str, section: BusInput, runtime: Runtime) -> None:
-        """`section`: an input that is no StampedInput measures how long a command waited. Raises
-        OSError and ValueError for a token that cannot be used."""
+        """`section`: for an input that is no StampedInput, the gate measures how long a command
+        waited. Raises OSError and ValueError for a token that cannot be used."""
         self._name = name
         self._runtime = runtime
         self._token: Token | None = None
@@ -69,7 +72,8 @@ class CommandGate:
         robot = runtime.robot
         self._joints = {name: place for place, name in enumerate(robot.joint)}
         self._free = robot.base.kind == "joints"
-        """Joints without a base: one that has a range of positions takes positions."""
+        """Whether the robot has joints without a base; a joint with a range of positions takes
+        positions."""
         self._positions = {
             self._joints[name]
             for name, joint in (robot.joint.items() if self._free else ())
@@ -81,15 +85,15 @@ class CommandGate:
         self.source: Source = runtime.source(name)
         self._gap: Gap = runtime.gap(section.lease_s)
         self.gap: Gap = runtime.gap(max(section.lease_s, CALL_OLD_S))
-        """For calls and goals."""
+        """Detects gaps after which calls and goals may be old."""
 
     def admit(self, shown: object) -> None:
-        """Raises NotTaken without the token."""
+        """Check the token. Raises NotTaken if it is missing or wrong."""
         if self._token is None or not self._token.fits(shown):
             raise self._no("the token is missing or wrong")
 
     def take(self, topic: str, message: object, waited_s: float = 0.0) -> None:
-        """A message on one of COMMANDS, as `drive` or `drive_joints`. Raises NotTaken."""
+        """Pass on a message of one of COMMANDS: see `drive` and `drive_joints`. Raises NotTaken."""
         match topic:
             case "cmd_vel":
                 self.drive(message, waited_s)
@@ -100,7 +104,7 @@ class CommandGate:
 
     def drive(self, message: object, waited_s: float = 0.0, sender: str = "") -> None:
         """Pass a Twist or a TwistStamped on. `waited_s`: its time in transit, as far as that is
-        known; it is the age of one without a stamp. `sender`: as `act`. Raises NotTaken."""
+        known; for a message without a stamp it is the age. `sender`: see `act`. Raises NotTaken."""
         (linear_m_s, angular_rad_s, lateral_m_s), age_s = self._twist(message)
         if self._free and (linear_m_s, angular_rad_s, lateral_m_s) != (0.0, 0.0, 0.0):
             raise self._no("this robot has no base: command its joints by joint_commands")
@@ -131,8 +135,8 @@ class CommandGate:
         )
 
     def drive_joints(self, message: object, waited_s: float = 0.0) -> None:
-        """Pass the velocities of a JointState on, as `drive`; wheels that it does not name are to
-        rest. Of joints without a base: positions too, by what each takes. Raises NotTaken."""
+        """Pass the velocities of a JointState on; see `drive`. Wheels that it does not name are to
+        rest. A joint without a base takes a velocity or a position. Raises NotTaken."""
         if self._free:
             velocities, positions, age_s = self._free_joints(message)
             stamp_ns, count = self._stamp_ns(age_s, waited_s), len(self._joints)
@@ -144,20 +148,21 @@ class CommandGate:
             raise self._no(self.source.why_lost)
 
     def _stamp_ns(self, age_s: float, waited_s: float) -> int:
-        """When a command was given, CLOCK_MONOTONIC. Raises NotTaken for one of unknown age that
-        may have waited here."""
+        """Return when a command was given, CLOCK_MONOTONIC. Raises NotTaken for a command of
+        unknown age that may have waited here."""
         if not self._stamped:
             self._not_old(self._gap)
             age_s = max(age_s, min(waited_s, OLD_S))
         return time.monotonic_ns() - round(age_s * 1e9)
 
     def _not_old(self, gap: Gap) -> None:
-        """Raises NotTaken where a message without a stamp may have waited here."""
+        """Raise NotTaken if a message without a stamp may have waited here."""
         if gap.just_over():
             raise self._no(STOOD_STILL)
 
     def _wheels(self, message: object) -> tuple[list[float], float]:
-        """rad/s in the order of the robot file, and the command's age in s."""
+        """Return velocities in rad/s, in the order of the robot file, and the command's age in
+        s."""
         known, (speeds,), stamp_s = self._named(message, "velocity")
         if len(speeds) != len(known) or len(set(known)) != len(known):
             raise self._no("each joint has one velocity")
@@ -167,8 +172,9 @@ class CommandGate:
         return velocity_rad_s, self._age_s(stamp_s)
 
     def _free_joints(self, message: object) -> tuple[dict[int, float], dict[int, float], float]:
-        """Velocities and positions by place, each of the joints that take it, and the command's
-        age in s. The number for a joint in the other list does not count."""
+        """Return velocities and positions by the joint's place in the robot file, each of the
+        joints that take it, and the command's age in s. The number for a joint in the other list
+        does not count."""
         known, lists, stamp_s = self._named(message, *_EITHER)
         if len(set(known)) != len(known):
             raise self._no("each joint is named once")
@@ -184,8 +190,8 @@ class CommandGate:
     def _named(
         self, message: object, *keys: str
     ) -> tuple[list[int], list[list[float]], float | None]:
-        """Of a JointState: the places of its joints, the numbers of these lists, and its stamp. A
-        list may be missing where there are several."""
+        """Return from a JointState the places of its joints, the numbers of these lists, and its
+        stamp. When several lists are read, some may be missing."""
         try:
             if not isinstance(message, Mapping):
                 raise TypeError("a command is an object")
@@ -201,7 +207,8 @@ class CommandGate:
         return known, lists, stamp_s
 
     def _twist(self, message: object) -> tuple[tuple[float, float, float], float]:
-        """Linear m/s, rad/s and lateral m/s; and the command's age in s."""
+        """Return the velocities of a twist in m/s, rad/s and m/s to the left, and the command's age
+        in s."""
         try:
             if not isinstance(message, Mapping):
                 raise TypeError("a command is an object")
@@ -215,7 +222,8 @@ class CommandGate:
         return (linear_m_s, angular_rad_s, lateral_m_s), self._age_s(stamp_s)
 
     def _age_s(self, stamp_s: float | None) -> float:
-        """Of a command given at that wall time. None: it has no stamp."""
+        """Return the age in s of a command that was given at that wall time; None: it has no
+        stamp."""
         if not self._stamped and not stamp_s:
             return 0.0
         if stamp_s is None:
@@ -228,8 +236,8 @@ class CommandGate:
         return min(max(age_s, 0.0), OLD_S)
 
     async def act(self, method: object, sender: str = "") -> Any:
-        """Call one of METHODS. `sender`: the caller, where it is known. Raises NotTaken, also with
-        the daemon's own reason."""
+        """Call one of METHODS. `sender`: the caller, if it is known. Raises NotTaken, also with the
+        daemon's own reason."""
         if not isinstance(method, str) or method not in METHODS:
             raise self._no(f"{short(method)} is not one of {', '.join(METHODS)}")
         if method in URGENT:
@@ -251,24 +259,24 @@ class CommandGate:
             self._calls[method] -= 1
 
     async def ask(self, method: str, **params: Any) -> Any:
-        """As Runtime.call, for a client with the token. Raises NotTaken for what moves the robot or
-        changes it where it may have waited here."""
+        """Call the daemon for a client with the token: see `Runtime.call`. Raises NotTaken for a
+        call that moves or changes the robot and may have waited here."""
         if method not in ANY_TIME:
             self._not_old(self.gap)
         return await self._runtime.call(method, **params)
 
     def busy(self) -> NotTaken:
-        """The answer to a call beyond those that may run at once."""
+        """Return the refusal of a call beyond those that may run at once."""
         return self._no("busy: too many calls are running")
 
     def refuse(self, why: str, count: int = 1) -> None:
-        """So many commands were not passed on: counted, and logged from time to time."""
+        """Count commands that were not passed on; log from time to time."""
         if count > 0:
             self.source.refused += count - 1
             self._no(why)
 
     def _no(self, why: str) -> NotTaken:
-        """Counted, and logged from time to time."""
+        """Count a refusal, log from time to time, and return the error to raise."""
         self.source.refused += 1
         now_s = time.monotonic()
         if now_s - self._reported_s >= SAY_AGAIN_S:
@@ -278,7 +286,8 @@ class CommandGate:
 
 
 def _stamp_s(message: Mapping[str, Any]) -> float | None:
-    """Wall time of its header; None: it has none. Raises KeyError, TypeError and OverflowError."""
+    """Return the wall time in the header; None: no stamp. Raises KeyError, TypeError and
+    OverflowError."""
     stamp = message["header"]["stamp"] if "header" in message else None
     if stamp is None:
         return None
@@ -286,15 +295,15 @@ def _stamp_s(message: Mapping[str, Any]) -> float | None:
 
 
 def _number(value: object) -> float:
-    """NaN and infinity pass: the loop takes them for zero, and reports it. Raises TypeError, and
-    OverflowError for a whole number that is too large."""
+    """Return a number. NaN and infinity pass: the loop takes them for zero, and reports it. Raises
+    TypeError, and OverflowError for a whole number that is too large."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{short(value)} is not a number")
     return float(value)
 
 
 def request_of(decode: Callable[[bytes], Any], raw: object, bytes_max: int) -> Mapping[str, Any]:
-    """The request of an unknown sender; empty if it cannot hold a token. `decode` raises
+    """Return the request of an unknown sender; empty if it cannot hold a token. `decode` raises
     ValueError."""
     if not isinstance(raw, bytes) or len(raw) > bytes_max:
         return {}
@@ -306,10 +315,10 @@ def request_of(decode: Callable[[bytes], Any], raw: object, bytes_max: int) -> M
 
 
 def short(value: object) -> str:
-    """An unknown sender's value, short enough for a sentence: it may be long or nested."""
+    """Return an unknown sender's value, short enough for a sentence: it may be long or nested."""
     return repr(value[:_SHORT]) if isinstance(value, str) else f"a {type(value).__name__}"
 
 
 def tag(value: object) -> str | int | None:
-    """What an answer repeats of its question; nothing, where it is neither text nor number."""
+    """Return what an answer repeats of its request; None if it is neither text nor number."""
     return value if isinstance(value, str | int) else None

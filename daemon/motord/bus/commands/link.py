@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """From the second process to the daemon: calls on its local socket, and commands under a lease.
 
-Every call has a connection of its own and a deadline; what stops the robot is sent as a datagram
-first. A lease lives as long as its connection; when the daemon ends it, another is asked for.
-A command gets no answer: docs/commands.md.
+Every call has a connection and a deadline of its own; a request to stop the robot is sent as a
+datagram first. A lease lives as long as its connection; when the daemon ends it, this process
+requests another one. A command gets no answer: docs/commands.md.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ _log = logging.getLogger(__name__)
 
 
 REASON_CHARS_MAX = 300
-"""Length of an emergency stop's reason; the daemon refuses longer ones."""
+"""Largest length of an emergency stop's reason; the daemon refuses longer ones."""
 
 
 def reason(text: str) -> dict[str, str]:
-    """Parameters of an emergency stop with that reason."""
+    """Return the parameters of an emergency stop with that reason."""
     return {"why": text[:REASON_CHARS_MAX]}
 
 
@@ -48,7 +48,7 @@ SOCKET_FULL = (
 
 
 ALL_SEEN = -1
-"""Send, whatever else was commanded meanwhile."""
+"""Value of `seen`: send the command even if other commands were sent meanwhile."""
 
 
 async def call(path: Path, method: str, **params: Any) -> Any:
@@ -58,8 +58,8 @@ async def call(path: Path, method: str, **params: Any) -> Any:
 
 
 class StopSender:
-    """Sends stop requests (motord.api.stop_request) from a socket that is open beforehand: it needs
-    no descriptor when it counts."""
+    """Sends stop requests (motord.api.stop_request) from a socket that is opened beforehand, so
+    that a stop needs no new descriptor."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -67,7 +67,7 @@ class StopSender:
 
     @contextlib.contextmanager
     def open(self) -> Iterator[None]:
-        """Keep the socket."""
+        """Open the socket, and keep it while the context lasts."""
         with open_sender() as self._socket:
             try:
                 yield
@@ -75,29 +75,33 @@ class StopSender:
                 self._socket = None
 
     async def send(self, method: str) -> bool:
-        """False: the daemon does not receive it."""
+        """Send a request; return False if the daemon does not receive it."""
         return self._socket is not None and await send_stop(self._socket, self._path, method)
 
 
 class Outlet(Protocol):
-    """Sends under a lease in our place, commands of its own among them: it numbers all of them."""
+    """Sends commands under a lease in place of `Source`, and commands of its own among them: it
+    numbers all of them."""
 
     @property
     def direct(self) -> int:
-        """Commands of its own that it has sent."""
+        """Number of commands of its own that it has sent."""
         ...
 
     def hold(self, fd: int, token: bytes, sequence: int) -> None:
-        """A lease begins: its connected socket, its token, the number of its newest command."""
+        """Begin a lease. `fd`: its connected socket; `sequence`: the number of its newest
+        command."""
         ...
 
     def let_go(self) -> int:
-        """It is over; the number of its newest command. Its socket is not used any more."""
+        """End the lease and return the number of its newest command. The socket of the lease is not
+        used any more."""
         ...
 
     def send(self, raw: bytes, seen: int) -> int:
-        """A datagram, whose token and number it fills in. `seen` >= 0: only while `direct` is that.
-        0; -ENOTCONN: no lease; -ESTALE: `direct` has grown; -EAGAIN: full; -errno."""
+        """Send a datagram, in which it fills in token and number. `seen` >= 0: send only while
+        `direct` has that value. Return 0; -ENOTCONN: no lease; -ESTALE: `direct` has grown;
+        -EAGAIN: the socket is full; or another -errno."""
         ...
 
 
@@ -105,29 +109,29 @@ class Source:
     """One input's right to command. `run` keeps the lease; `drive` and `release` never wait."""
 
     def __init__(self, path: Path, owner: str) -> None:
-        """`owner`: an input of the robot file, whose priority and lifetime count."""
+        """`owner`: name of the input in the robot file, whose priority and lifetime apply."""
         self._path = path
         self.owner = owner
         self._token: bytes | None = None
         self.number = 0
-        """Of the lease, as the state page has it; 0: there is none."""
+        """Number of the lease on the state page; 0: no lease."""
         self._sequence = 0
         self._failing = False
         self._sender: socket.socket | None = None
         self._outlet: Outlet | None = None
         self.sent = 0
         self.lost = 0
-        """Commands for which there was no lease, or that the socket did not take."""
+        """Number of commands for which there was no lease, or that the socket did not take."""
         self.why_lost = NO_LEASE
-        """Why the newest of them was."""
+        """Why the newest lost command was lost."""
         self.rivals: Callable[[], dict[str, Any]] = dict
-        """Senders of this input that command against each other, by topic."""
+        """Returns the senders of this input that command against each other, by topic."""
         self.refused = 0
-        """Commands and calls that were not passed on, as the input counts them."""
+        """Number of commands and calls that were not passed on; the input counts them."""
 
     @property
     def ready(self) -> bool:
-        """There is a lease."""
+        """Whether there is a lease."""
         return self._token is not None
 
     async def run(self) -> None:
@@ -141,12 +145,12 @@ class Source:
             await asyncio.sleep(LEASE_AGAIN_S)
 
     async def _grant(self, daemon: Client) -> dict[str, Any]:
-        """A lease on that connection. Raises ClientError."""
+        """Request a lease on a connection. Raises ClientError."""
         grant: dict[str, Any] = await daemon.call("lease", owner=self.owner)
         return grant
 
     async def _hold(self, grant: dict[str, Any], daemon: Client) -> None:
-        """Until the daemon ends the lease."""
+        """Send commands under the lease until the daemon ends it."""
         kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
         with socket.socket(socket.AF_UNIX, kind) as sender:
             sender.connect(grant["socket"])
@@ -166,7 +170,7 @@ class Source:
                 self.number = 0
 
     def lend(self, outlet: Outlet | None) -> None:
-        """Commands go through `outlet` from now on; None: through this object again."""
+        """Send commands through `outlet` from now on; None: through this object again."""
         if self._outlet is not None:
             self._sequence = max(self._sequence, self._outlet.let_go())
         self._outlet = outlet
@@ -178,7 +182,8 @@ class Source:
 
     @property
     def direct(self) -> int:
-        """Commands under this lease that did not come by `drive`: of an outlet."""
+        """Number of commands under this lease that the outlet has sent by itself, not through
+        `drive`."""
         return 0 if self._outlet is None else self._outlet.direct
 
     def drive(
@@ -190,14 +195,14 @@ class Source:
         lateral_m_s: float = 0.0,
         seen: int = ALL_SEEN,
     ) -> bool:
-        """One command; `stamp_ns`: when it was given, CLOCK_MONOTONIC; now unless given.
-        `seen`: not where `direct` has grown beyond that. Returns whether it was sent."""
+        """Send one command; return whether it was sent. `stamp_ns`: when it was given,
+        CLOCK_MONOTONIC; now unless given. `seen`: do not send if `direct` has grown beyond this."""
         stamp_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
         twist = (linear_m_s, angular_rad_s, lateral_m_s)
         return self._send_twist(TWIST, twist, stamp_ns, seen)
 
     def drive_joints(self, velocity_rad_s: Sequence[float], stamp_ns: int) -> bool:
-        """One command of all wheels, in the order of the robot file, as `drive`."""
+        """Send one command of all wheels, in the order of the robot file; see `drive`."""
         return self._send(
             lambda token, sequence: joint_datagram(token, sequence, stamp_ns, velocity_rad_s)
         )
@@ -209,7 +214,8 @@ class Source:
         position_rad: Mapping[int, float],
         stamp_ns: int,
     ) -> bool:
-        """One command of joints without a base, by place, as `drive`."""
+        """Send one command of joints without a base; its numbers are by place in the robot file.
+        See `drive`."""
         return self._send(
             lambda token, sequence: position_datagram(
                 token, sequence, stamp_ns, joint_count, velocity_rad_s, position_rad
@@ -217,7 +223,8 @@ class Source:
         )
 
     def release(self, *, seen: int = ALL_SEEN) -> bool:
-        """Give the command back before it lapses; the next one takes it again. As `drive`."""
+        """Give the command back before its lifetime ends; the next command takes it again. See
+        `drive`."""
         return self._send_twist(RELEASE, (0.0, 0.0, 0.0), time.monotonic_ns(), seen)
 
     def _send_twist(
@@ -246,11 +253,11 @@ class Source:
                 return True
             case errno.ESTALE:
                 return False  # another source has meanwhile requested something else
-            case errno.EAGAIN:  # the next one will do
+            case errno.EAGAIN:  # the next command replaces it
                 return self._lose(SOCKET_FULL)
             case errno.ENOTCONN:
                 return self._lose(NO_LEASE)
-        # gone: the end of the connection shows it
+        # the daemon is gone: the connection ends, too
         return self._lose(f"the daemon's command socket does not take it: {os.strerror(error)}")
 
     def _lose(self, why: str) -> bool:
@@ -265,7 +272,7 @@ class Source:
 
 
 def _sent(sender: socket.socket, raw: bytes) -> int:
-    """0 or errno."""
+    """Send a datagram; return 0 or errno."""
     try:
         sender.send(raw)
     except OSError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Carries out one motion at a time, under the lease of an input. It goes by the state page and
+"""Carries out one motion at a time, under the lease of an input. It reads the state page and
 commands again and again: when this process hangs or dies, the lease lapses and the robot stops."""
 
 from __future__ import annotations
@@ -40,14 +40,16 @@ LOOK_MIN_S, LOOK_MAX_S = 0.005, 0.02
 
 
 class NotNow(Exception):
-    """A motion cannot begin; the text says why."""
+    """A motion cannot begin; the text is the reason."""
 
 
 class Mover:
-    """Of one input. A command by that input itself ends the motion: the newest command counts."""
+    """The motions of one input. A command by that input itself ends the motion: the newest command
+    counts."""
 
     def __init__(self, runtime: Runtime, source: Source, gap: Gap, lease_s: float) -> None:
-        """`gap`: a goal has no stamp, so none begins that may have waited here."""
+        """`gap`: detects goals that may have waited here; a goal has no stamp, so such a goal is
+        refused."""
         self._runtime = runtime
         self._source = source
         self._gap = gap
@@ -57,15 +59,15 @@ class Mover:
         self._driven_s = -math.inf
         self._interrupted = False
         self._direct = 0
-        """Source.direct when the motion began."""
+        """`Source.direct` when the motion began."""
 
     def driven(self, now_s: float | None = None) -> None:
-        """A command came in by the same input."""
+        """Note a command of the same input."""
         self._driven_s = time.monotonic() if now_s is None else now_s
         self._interrupted = True
 
     async def plan(self, goal: Goal) -> Plan:
-        """What would be done. Raises NotNow where it cannot be, or may not be now."""
+        """Return the plan of a motion. Raises NotNow if the motion is not possible, or not now."""
         if self._gap.just_over():
             raise NotNow(STOOD_STILL)
         try:
@@ -97,14 +99,15 @@ class Mover:
         return problem(snapshot, time.monotonic_ns(), self.stale_s) or obstacle(snapshot)
 
     async def _bounds(self, goal: Goal) -> Bounds:
-        """Those in force now. Raises ClientError."""
+        """Return the limits that are in force now. Raises ClientError."""
         sent = await self._runtime.call("params.get", names=limit_names(goal))
         return bounds_of(goal, sent)
 
     async def move(
         self, plan: Plan, report: Callable[[Motion, Snapshot], None], cancel: asyncio.Event
     ) -> tuple[MotionStep, Motion | None]:
-        """Until its end; `report` is called at each look. Motion None: it did not begin."""
+        """Carry out a plan until its end; `report` is called at each look. Return the last step and
+        the motion; motion None: it did not begin."""
         try:
             stops = await self._stops()
             with self._runtime.page() as page:
@@ -130,11 +133,11 @@ class Mover:
             return MotionStep(end=End.ABORTED, why=str(error)), None
 
     async def _stops(self) -> int:
-        """Counted by the daemon until now. Raises ClientError."""
+        """Return how many stops the daemon has counted until now. Raises ClientError."""
         return int((await self._runtime.call("status"))["stops"])
 
     async def _count_stops(self, motion: Motion) -> None:
-        """Until cancelled."""
+        """Pass the daemon's count of stops to the motion, until cancelled."""
         while True:
             asked_ns = time.monotonic_ns()
             with contextlib.suppress(ClientError):  # nothing is corrected then
@@ -168,6 +171,6 @@ class Mover:
                 report(motion, newest)
                 await asyncio.sleep(self._every_s)
         finally:
-            if not self._interrupted:  # else another source steers the robot
+            if not self._interrupted:  # otherwise another command steers the robot
                 self._source.drive(0.0, 0.0, seen=self._direct)
                 self._source.release(seen=self._direct)

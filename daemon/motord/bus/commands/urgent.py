@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stop or an emergency stop by a sender that waits for no answer: repeated until the daemon
-answers."""
+"""A stop or an emergency stop from a sender that does not wait for an answer: it is repeated until
+the daemon answers."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _log = logging.getLogger(__name__)
 
 
 class Urgent:
-    """Of one method and one input. `ask` never waits; what is requested while a call is in progress
-    is done once more after it."""
+    """Requests of one urgent method by one input. `ask` never waits; a request during a call leads
+    to one more call after it."""
 
     def __init__(self, name: str, method: str, call: Callable[..., Awaitable[Any]]) -> None:
-        """`call` raises Refused and ClientError, as Runtime.call."""
+        """`call` raises Refused and ClientError: see `Runtime.call`."""
         self._input, self._what = f"input.{name}", f"input.{name}: {method}"
         self._method, self._call = method, call
         self._asked = asyncio.Event()
@@ -31,14 +31,14 @@ class Urgent:
         self._voice, self._trouble = RateLimitedLog(_log), RateLimitedLog(_log)
 
     def ask(self, why: str) -> None:
-        """Have it done soon."""
+        """Request the method. `why` is logged, and becomes the reason of an emergency stop."""
         self._voice.say(f"{self._what} {why}")
         if self._method == "estop":
             self._params = reason(f"{self._input}: {why}")
         self._asked.set()
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Call the daemon for each request, until cancelled."""
         while True:
             await self._asked.wait()
             self._asked.clear()

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Foxglove: its own WebSocket server."""
+"""A WebSocket server for Foxglove."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A live view for Foxglove: its own WebSocket server (foxglove-sdk), ROS 2's types and encoding. As
-a publisher it only sends; as an input it takes commands from clients with the token.
+"""A live view for Foxglove: the WebSocket server of foxglove-sdk, with the types and the encoding
+of ROS 2. As a publisher it only sends; as an input it takes commands from clients with the token.
 
-The SDK's threads serve the clients; for one that is slow they drop messages.
+Threads of the SDK serve the clients, and drop messages for a client that is slow.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 LISTEN_AGAIN_S = 5.0
 STOP_WITHIN_S = 5.0
 BACKLOG = 64
-"""Messages that wait for one client at most."""
+"""Largest number of messages that wait for one client."""
 
 _log = logging.getLogger(__name__)
 
 
 class FoxgloveAdapter:
     def __init__(self, name: str, section: FoxgloveServer, runtime: Runtime) -> None:
-        """Raises OSError for a certificate that cannot be read, and as CommandGate."""
+        """Raises OSError for a certificate that cannot be read, and the errors of `CommandGate`."""
         self._section = section
         self._robot = runtime.body.robot
         self._context = Context()
@@ -63,7 +63,7 @@ class FoxgloveAdapter:
         return Channel(f"/{topic}", schema=schema, message_encoding="cdr", context=self._context)
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         async with asyncio.TaskGroup() as tasks:
             if self._commands is not None:
                 tasks.create_task(self._commands.run())
@@ -79,7 +79,7 @@ class FoxgloveAdapter:
                 self._channels[topic.name].log(message, log_time=time_ns)
         finally:
             async with within(STOP_WITHIN_S):
-                await asyncio.to_thread(server.stop)  # threads of it may wait for this loop
+                await asyncio.to_thread(server.stop)  # its threads may wait for this event loop
 
     async def _started(self) -> WebSocketServer:
         failing = False
@@ -93,7 +93,7 @@ class FoxgloveAdapter:
             await asyncio.sleep(LISTEN_AGAIN_S)
 
     def _start(self) -> WebSocketServer:
-        """Raises OSError and RuntimeError."""
+        """Start the server. Raises OSError and RuntimeError if it cannot listen."""
         obeys = self._commands is not None
         return foxglove.start_server(
             name=self._robot,

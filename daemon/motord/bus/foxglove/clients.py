@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What clients of the Foxglove server are sent and may request (ws-protocol: services, parameters,
-client publishing; JSON). The SDK calls from threads of its own; what moves the robot is done in the
-event loop.
+"""Messages to clients of the Foxglove server, and their requests: services, parameters and
+published messages in JSON (Foxglove ws-protocol). The SDK calls this code from its own threads;
+whatever moves the robot runs in the event loop.
 
-The protocol has no token, and the SDK shows no header of the connection. So the token stands in
-the request, {"token": ..., ...}, or the service `authorize` lets a connection in until it ends.
+The protocol has no token, and the SDK does not show the headers of a connection. So a client puts
+the token into each request, {"token": ..., ...}, or calls the service `authorize` once, which
+admits its connection until it ends.
 """
 
 from __future__ import annotations
@@ -40,18 +41,19 @@ if TYPE_CHECKING:
 ENCODING = "json"
 AUTHORIZE = "authorize"
 NO_LIMIT = "inf"
-"""As the robot file writes it: JSON has no such number."""
+"""Infinity as the robot file writes it, because JSON has no number for it."""
 ANSWER_WITHIN_S = CALL_WITHIN_S + 2.0
 CHANGE_WITHIN_S = 2.0
-"""How long a change of parameters may block a thread that serves other clients, too."""
+"""Longest time that a change of parameters may block a thread of the SDK, which serves other
+clients, too."""
 LOOK_EVERY_S = 1.0
 COMPLAIN_AGAIN_S = 0.5
 REQUEST_BYTES_MAX = 4096
 WAITING_MAX = 32
 ADMITTED_MAX = 64
 CHANNELS_MAX = 256
-"""Of all clients together; those that were not used for the longest time are forgotten. The SDK
-does not report that a client is gone."""
+"""Largest number of channels of all clients together; the least recently used are forgotten first.
+The SDK does not report that a client is gone."""
 
 _TRIGGER = (
     ("Request", {"token": {"type": "string"}}),
@@ -61,7 +63,7 @@ _TRIGGER = (
 
 @dataclass(frozen=True, slots=True)
 class _Message:
-    """A message of a client's. `came_s`: CLOCK_MONOTONIC."""
+    """A message from a client. `came_s`: its time of arrival, CLOCK_MONOTONIC."""
 
     client: int
     topic: str
@@ -70,10 +72,10 @@ class _Message:
 
 
 class Looks(ServerListener):
-    """What the robot looks like, for each client that begins to read it."""
+    """Sends the robot description to each client that subscribes to its topic."""
 
     def __init__(self, looks: tuple[Channel, bytes]) -> None:
-        """Its topic, and the message."""
+        """`looks`: channel of the robot description, and its message."""
         self._channel, self._message = looks
 
     def on_subscribe(
@@ -81,7 +83,7 @@ class Looks(ServerListener):
         client: Client,  # noqa: ARG002  # the SDK's signature
         channel: ChannelView,
     ) -> None:
-        """As ServerListener."""
+        """Implement `ServerListener.on_subscribe`."""
         if channel.id == self._channel.id():
             self._channel.log(self._message, log_time=time.time_ns())
 
@@ -99,21 +101,23 @@ class Commands(Looks):
         self._tunable = Tunable(runtime.robot, self._gate.ask)
         self._parameters = {name: _shown(about) for name, about in self._tunable.fixed.items()}
         self._sent = dict(self._parameters)
-        """To the clients that have subscribed."""
+        """Parameters as last sent to the clients that have subscribed."""
         self._thread_bridge = ThreadBridge()
         self._admitted: tuple[int, ...] = ()
-        """Connections; a number is never used again. Threads read it: it is only replaced."""
+        """Numbers of the connections that may command; the SDK never reuses a number. Threads read
+        the tuple, so it is only replaced as a whole."""
         self._topics: dict[tuple[int, int], str] = {}
-        """By connection and its channel."""
+        """Topics by the numbers of the connection and of its channel."""
         self._advertising = threading.Lock()
         self._friends: Inbox[_Message] = Inbox(WAITING_MAX, self._take)
         self._strangers: Inbox[_Message] = Inbox(WAITING_MAX, self._take)
-        """Two, so that no stranger pushes out the commands of clients that are let in."""
+        """A separate inbox, so that clients without the token do not push out the commands of
+        admitted clients."""
         self._complained_s: dict[str, float] = {}
         self.server: WebSocketServer | None = None
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Run until cancelled."""
         self._friends.open()
         self._strangers.open()
         async with asyncio.TaskGroup() as tasks:
@@ -122,7 +126,7 @@ class Commands(Looks):
             tasks.create_task(self._watch())
 
     def _admit(self, client: int, request: Mapping[str, Any]) -> None:
-        """Raises NotTaken."""
+        """Check that the connection is admitted or the request has the token. Raises NotTaken."""
         if client in self._admitted:
             self._remember(client)
         else:
@@ -133,20 +137,20 @@ class Commands(Looks):
         self._admitted = (*others, client)[-ADMITTED_MAX:]
 
     def _complain(self, about: str, error: NotTaken) -> None:
-        """To all clients: the protocol has no answer to a message or a parameter."""
+        """Report an error to all clients: the protocol has no reply to a message or a parameter."""
         now_s = time.monotonic()
         if self.server is not None and now_s - self._complained_s.get(about, 0) > COMPLAIN_AGAIN_S:
             self._complained_s[about] = now_s
             self.server.publish_status(f"{about}: {error}", StatusLevel.Warning, about)
 
     def _content(self, about: str) -> None:
-        """The problem that was reported is over."""
+        """Withdraw the report of a problem that is over."""
         if self._complained_s.pop(about, None) is not None and self.server is not None:
             self.server.remove_status([about])
 
     # ------------------------------------------------------------------------------------- topics
     def on_client_advertise(self, client: Client, channel: ClientChannel) -> None:
-        """As ServerListener."""
+        """Implement `ServerListener.on_client_advertise`."""
         topic = channel.topic.removeprefix("/")
         if topic not in COMMANDS or channel.encoding != ENCODING:
             known = ", ".join(f"/{name}" for name in COMMANDS)
@@ -158,12 +162,12 @@ class Commands(Looks):
             self._topics[client.id, channel.id] = topic
 
     def on_client_unadvertise(self, client: Client, client_channel_id: int) -> None:
-        """As ServerListener."""
+        """Implement `ServerListener.on_client_unadvertise`."""
         with self._advertising:
             self._topics.pop((client.id, client_channel_id), None)
 
     def on_message_data(self, client: Client, client_channel_id: int, data: bytes) -> None:
-        """As ServerListener."""
+        """Implement `ServerListener.on_message_data`."""
         key = client.id, client_channel_id
         with self._advertising:
             topic = self._topics.pop(key, None)
@@ -185,7 +189,7 @@ class Commands(Looks):
 
     # ----------------------------------------------------------------------------------- services
     def services(self) -> list[Service]:
-        """Of type std_srvs/Trigger, with a token."""
+        """Return the services, of type std_srvs/Trigger with a token in the request."""
         schema = ServiceSchema(
             "std_srvs/srv/Trigger",
             **{part.lower(): _json_schema(part, fields) for part, fields in _TRIGGER},
@@ -196,7 +200,7 @@ class Commands(Looks):
         ]
 
     def _served(self, method: str, request: ServiceRequest) -> bytes:
-        """In a thread of the SDK's."""
+        """Answer a call of a service. Runs in a thread of the SDK."""
         make = partial(self._answer, method, request.client_id, request.payload)
         try:
             answer = {"success": True, "message": self._thread_bridge.ask(make, ANSWER_WITHIN_S)}
@@ -205,7 +209,7 @@ class Commands(Looks):
         return json_form.encode(answer)
 
     async def _answer(self, method: str, client: int, raw: bytes) -> str:
-        """Raises NotTaken."""
+        """Carry out a call of a service and return the message of its response. Raises NotTaken."""
         request = request_of(json_form.decode, raw, REQUEST_BYTES_MAX)
         if method == AUTHORIZE:
             self._gate.admit(request.get("token"))
@@ -221,7 +225,7 @@ class Commands(Looks):
         param_names: list[str],
         request_id: str | None = None,  # noqa: ARG002  # the SDK's
     ) -> list[Parameter]:
-        """As ServerListener; no name: all."""
+        """Implement `ServerListener.on_get_parameters`; without names, return all parameters."""
         return self._listed(param_names)
 
     def on_set_parameters(
@@ -230,8 +234,8 @@ class Commands(Looks):
         parameters: list[Parameter],
         request_id: str | None = None,  # noqa: ARG002  # the SDK's
     ) -> list[Parameter]:
-        """As ServerListener: all or none. The answer, which also goes to subscribers, is
-        what is in force afterwards."""
+        """Implement `ServerListener.on_set_parameters`: change all of the parameters or none. The
+        answer, which also goes to subscribers, contains the values in force afterwards."""
         try:
             self._thread_bridge.ask(partial(self._change, client.id, parameters), CHANGE_WITHIN_S)
         except NotTaken as error:
@@ -241,7 +245,7 @@ class Commands(Looks):
         return self._listed([parameter.name for parameter in parameters])
 
     async def _change(self, client: int, parameters: list[Parameter]) -> None:
-        """Raises NotTaken."""
+        """Change all of the parameters or none. Raises NotTaken."""
         self._admit(client, {})
         wanted = {one.name: _wanted(one) for one in parameters}
         await self._tunable.change(wanted)
@@ -253,7 +257,7 @@ class Commands(Looks):
         return [Parameter(name, value=known[name]) for name in names or known if name in known]
 
     async def _watch(self) -> None:
-        """Subscribers get every change, of whatever origin."""
+        """Send every change of a parameter to subscribers, whichever program made it."""
         while True:
             if self._runtime.view is not None:
                 await self._look()
@@ -270,7 +274,7 @@ class Commands(Looks):
 
 
 def _wanted(parameter: Parameter) -> float:
-    """Raises NotTaken."""
+    """Return the value that a parameter is to have. Raises NotTaken if it is not a number."""
     value = parameter.get_value()
     if value == NO_LIMIT:
         return float(NO_LIMIT)

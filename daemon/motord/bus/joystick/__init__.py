@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A joystick at this machine."""
+"""A joystick that is connected to this machine."""

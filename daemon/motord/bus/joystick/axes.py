@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a joystick's events mean: its axes as a twist, and whether its dead-man button is held.
+"""Interprets a joystick's events: its axes as a twist, and whether its dead-man button is held.
 
-Events are the kernel's (Documentation/input/event-codes.rst), and so are the axes' ranges.
+Events and the axes' ranges are those of the kernel (Documentation/input/event-codes.rst).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ SYN_DROPPED = 3
 
 @dataclass(frozen=True, slots=True)
 class Codes:
-    """The numbers of what is looked at."""
+    """The kernel's numbers of the axes and buttons that are used; None: not used."""
 
     dead_man: int
     linear: int
@@ -45,13 +45,14 @@ class Stick:
                 raise ValueError(f"it has no axis {axis}")
         self._ranges = ranges
         self.held = False
-        """Released, lost or never pressed: no command."""
+        """Whether the dead-man button is held. False after it was released or events were lost, and
+        before it was first pressed: no command."""
         self.doubted = False
-        """Events were lost, and the e-stop button's may be among them: look at the device itself,
-        and set it back."""
+        """Whether events were lost. The e-stop button's may be among them: read the button from the
+        device itself, and set this back."""
 
     def take(self, kind: int, code: int, value: int) -> bool:
-        """One event. Returns whether it is an emergency stop."""
+        """Take one event; return whether it is an emergency stop."""
         if kind == EV_KEY and code == self._codes.dead_man:
             self.held = value != 0
         elif kind == EV_ABS and code in self._values:
@@ -62,12 +63,13 @@ class Stick:
         return kind == EV_KEY and code == self._codes.estop and value != 0
 
     def let_go(self) -> None:
-        """Until it is pressed again; the axes are taken to be in their middle."""
+        """Count the dead-man button as released until it is pressed again, and the axes as
+        centred."""
         self.held = False
         self._values = dict.fromkeys(self._values, 0.0)
 
     def _part(self, axis: int, value: int) -> float:
-        """-1 to 1, and 0 in the dead zone."""
+        """Return the position of an axis, from -1 to 1, and 0 in the dead zone."""
         low, high = self._ranges[axis]
         part = min(max((2.0 * value - low - high) / (high - low), -1.0), 1.0)
         zone = self._section.dead_zone
@@ -76,8 +78,8 @@ class Stick:
         return (abs(part) - zone) / (1.0 - zone) * (1.0 if part > 0.0 else -1.0)
 
     def twist(self) -> tuple[float, float, float]:
-        """Linear m/s, rad/s and lateral m/s. Axes grow away from forward and from left, so all
-        signs turn."""
+        """Return linear m/s, rad/s and lateral m/s; zeros without the dead-man button. Values of
+        axes grow backwards and to the right, so all signs change."""
         if not self.held:
             return 0.0, 0.0, 0.0
         lateral = 0.0 if self._codes.lateral is None else self._values[self._codes.lateral]

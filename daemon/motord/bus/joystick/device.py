@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A joystick at this machine (evdev). Releasing the dead-man button brings the robot to rest and
-gives the lease back; so does unplugging the device.
+"""A joystick that is connected to this machine (evdev). Releasing the dead-man button brings the
+robot to rest and gives the lease back; so does unplugging the device.
 
 A wireless pad whose radio fails looks like one that is held still until its driver notices.
 """
@@ -39,14 +39,14 @@ class Joystick:
         self._gap = runtime.gap(section.lease_s)
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._source.run())
             tasks.create_task(self._estop.run())
             tasks.create_task(self._keep())
 
     async def _keep(self) -> None:
-        """Look for the device, and again when it is gone."""
+        """Look for the device and listen to it; look again when it is gone."""
         failing = False
         while True:
             try:
@@ -62,7 +62,7 @@ class Joystick:
             await asyncio.sleep(LOOK_AGAIN_S)
 
     async def _listen(self, device: evdev.InputDevice[str]) -> None:
-        """Until the device is gone: OSError."""
+        """Take the device's events until it is gone. Raises OSError then."""
         stick = stick_of(device, self._section, self._codes)
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._command(stick))
@@ -75,12 +75,12 @@ class Joystick:
                     self._look_for_estop(device)
 
     def _look_for_estop(self, device: evdev.InputDevice[str]) -> None:
-        """Where its event may have been missed. Raises OSError."""
+        """Read the e-stop button itself, where its event may have been missed. Raises OSError."""
         if self._codes.estop in device.active_keys():
             self._estop.ask("by its button, which is held")
 
     async def _command(self, stick: Stick) -> None:
-        """Commands while the button is held; then one zero, and the lease is given back."""
+        """Send commands while the button is held; then send one zero, and give the lease back."""
         commanding = False
         try:
             while True:
@@ -104,7 +104,7 @@ class Joystick:
 
 
 def find_device(wanted: str) -> evdev.InputDevice[str]:
-    """By its file, or by a part of its name. Raises OSError."""
+    """Find a device by its file, or by a part of its name. Raises OSError."""
     if wanted.startswith("/"):
         return evdev.InputDevice(wanted)
     for path in evdev.list_devices():
@@ -116,7 +116,7 @@ def find_device(wanted: str) -> evdev.InputDevice[str]:
 
 
 def codes_of(section: JoystickInput) -> Codes:
-    """The kernel's numbers for the section's names. Raises ValueError."""
+    """Return the kernel's numbers for the section's names. Raises ValueError."""
     return Codes(
         dead_man=_code(section.dead_man),
         linear=_code(section.linear_axis),
@@ -127,7 +127,8 @@ def codes_of(section: JoystickInput) -> Codes:
 
 
 def stick_of(device: evdev.InputDevice[str], section: JoystickInput, codes: Codes) -> Stick:
-    """Raises ValueError for an axis that the device lacks, OSError."""
+    """Create the `Stick` of a device. Raises OSError, and ValueError for an axis that the device
+    lacks."""
     axes = (codes.linear, codes.angular, codes.lateral)
     infos = {axis: device.absinfo(axis) for axis in axes if axis is not None}
     ranges = {axis: (info.min, info.max) for axis, info in infos.items()}

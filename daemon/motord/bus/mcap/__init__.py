@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MCAP: recordings as rosbag2 writes them."""
+"""Recordings in MCAP files, in the form of rosbag2."""

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The folder of recordings: files of our own names, as many as fit, and room left on the disk."""
+"""The folder of recordings: files with names of a fixed form, a limit of their total size, and a
+minimum of free space on the disk."""
 
 from __future__ import annotations
 
@@ -21,9 +22,11 @@ from motord.bus.messages.table import definition
 
 MB = 1_000_000
 CONTINUOUS = ("all", "manual")
-"""Modes whose files have the mode in their names, where others have what they were saved for."""
+"""Modes whose files have the mode in their names; other files have the reason for which they were
+saved."""
 CHUNK_BYTES = 256 * 1024
-"""The most that is lost when the process is killed; `mcap recover` repairs the file."""
+"""Size of a chunk. No more than that is lost when the process is killed; `mcap recover` repairs the
+file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +40,10 @@ class Entry:
 
 
 class Recording:
-    """One file being written."""
+    """A file that is being written."""
 
     def __init__(self, path: Path, robot: str) -> None:
-        """Raises OSError."""
+        """Create the file. Raises OSError."""
         self.path, self.since_wall_time_s = path, time.time()
         self._file: BufferedWriter = path.open("xb")
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -53,7 +56,7 @@ class Recording:
         self._sequence = 0
 
     def add(self, entries: Iterable[Entry]) -> None:
-        """Raises OSError."""
+        """Write messages. Raises OSError."""
         for entry in entries:
             self._sequence += 1
             self._writer.add_message(
@@ -74,14 +77,15 @@ class Recording:
         return self._channels[topic]
 
     def close(self) -> None:
-        """With the index that readers like. Raises OSError; the file is closed then, too."""
+        """Write the index that readers use, and close the file. Raises OSError; the file is closed
+        then, too."""
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]  # mcap's own
         finally:
             self._file.close()
 
     def abandon(self) -> None:
-        """Without an index: there is no room for it."""
+        """Close the file without an index: there is no room for it."""
         with contextlib.suppress(OSError):
             self._file.close()
 
@@ -92,7 +96,7 @@ class Folder:
     def __init__(
         self, path: Path, robot: str, *, mode: str, total_max_mb: int, free_min_mb: int
     ) -> None:
-        """`mode`: as McapPublish.mode."""
+        """`mode`: see `McapPublish.mode`."""
         self._path = path
         self._robot = robot
         what = mode if mode in CONTINUOUS else rf"(?!({'|'.join(CONTINUOUS)})\.)[^.]+"
@@ -101,7 +105,8 @@ class Folder:
         self._free_min_bytes = free_min_mb * MB
 
     def open(self, what: str) -> Recording:
-        """A new file, ROBOT-TIME-WHAT.mcap. Raises OSError, ENOSPC also before the disk is full."""
+        """Begin a new file, ROBOT-TIME-WHAT.mcap. Raises OSError, with ENOSPC also before the disk
+        is full."""
         self._path.mkdir(parents=True, exist_ok=True)
         self.make_room()
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
@@ -109,8 +114,8 @@ class Folder:
         return Recording(self._path / name, self._robot)
 
     def make_room(self, keep: Path | None = None) -> None:
-        """Delete our oldest until all of ours fit. Raises OSError where there is too little room
-        anyway."""
+        """Delete the oldest files of this robot and mode until the rest fits, but never `keep`.
+        Raises OSError if there is too little room anyway."""
         files = sorted(file for file in self._path.iterdir() if self._name.fullmatch(file.name))
         sizes = {file: file.stat().st_size for file in files}
         for file in files:

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 def recorder(name: str, section: McapPublish, runtime: Runtime) -> Adapter:
-    """The adapter of that section, known to the runtime."""
+    """Create the adapter of a section, and register it with the runtime."""
     kind = ManualRecorder if section.mode == "manual" else McapRecorder
     made = runtime.recorders[name] = kind(name, section, runtime)
     return made
 
 
 class ManualRecorder:
-    """It may be started and stopped: motord.bus.adapters.Recorder."""
+    """A recorder that can be started and stopped: motord.bus.adapters.Recorder."""
 
     def __init__(self, name: str, section: McapPublish, runtime: Runtime) -> None:
         self._name, self._section, self._runtime = name, section, runtime
@@ -33,24 +33,24 @@ class ManualRecorder:
 
     @property
     def state(self) -> RecorderState:
-        """As Recorder.state."""
+        """Implement `Recorder.state`."""
         recording = self._started.is_set()
         if self._recorder is None:
             return RecorderState(mode="manual", recording=recording)
         return replace(self._recorder.state, recording=recording)
 
     def start(self) -> None:
-        """A new file; nothing where it records already."""
+        """Begin a new file, unless it records already."""
         self._started.set()
 
     def stop(self) -> None:
-        """What waits is written, and the file is closed."""
+        """Write what waits, and close the file."""
         self._started.clear()
         if self._recorder is not None:
             self._recorder.end()
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         while True:
             await self._started.wait()
             if not self._started.is_set():  # stopped before this task had its turn

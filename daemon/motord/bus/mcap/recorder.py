@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records to MCAP files (mcap.dev), as rosbag2 writes them: all that comes, or what was before and
-after a fault.
+"""Records to MCAP files (mcap.dev), in the form of rosbag2: all messages, or those before and after
+a fault.
 
-A thread does the writing: a disk that stalls costs messages, counted, and nothing else. A disk that
-is full is logged once, and tried again.
+A thread writes: while a disk stalls, messages are lost and counted, and nothing else happens. A
+full disk is logged once, and writing is tried again.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ AGAIN_S = 5.0
 JOURNAL_EVERY_S = 0.05
 JOURNAL_AGAIN_S = 0.5
 LOST = "lost"
-"""In the name of a file that was saved because the daemon, or this process, ended while armed."""
+"""Part of the name of a file that was saved because the daemon, or this process, ended while the
+robot was armed."""
 
 _log = logging.getLogger(__name__)
 
@@ -62,16 +63,17 @@ class McapRecorder:
         self._waiting = Waiting(memory_bytes(runtime.robot))
         self._armed = False
         self._why: str | None = None
-        """A fault whose file is not written yet."""
+        """Fault whose file is not written yet; None: no such fault."""
         self._recording: Recording | None = None
         self._since_s = 0.0
         self._failing = self._ending = False
         self._writing = threading.Lock()
-        """Held by the writer: a thread may outlive the task that waited for it."""
+        """Lock that the writing thread holds: the thread may outlive the task that waited for
+        it."""
 
     @property
     def state(self) -> RecorderState:
-        """As Recorder.state."""
+        """Implement `Recorder.state`."""
         recording = self._recording
         return RecorderState(
             mode=self._section.mode,
@@ -82,17 +84,18 @@ class McapRecorder:
         )
 
     def start(self) -> None:
-        """As Recorder.start."""
+        """Implement `Recorder.start`."""
         raise NotTaken(f'publish.{self._name} needs mode = "manual" to be started and stopped')
 
     stop = start
 
     def end(self) -> None:
-        """Have `run` write what waits, close the file, and end: of a mode other than "fault"."""
+        """Make `run` write what waits, close the file, and end. Only for modes other than
+        "fault"."""
         self._ending = True
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 collecting = [tasks.create_task(self._collect())]
@@ -145,7 +148,8 @@ class McapRecorder:
         await asyncio.to_thread(self._finish)  # closing a file may take long
 
     def _write(self, batch: list[Entry]) -> None:
-        """In the thread. Raises OSError."""
+        """Write messages to the current file, and begin a new file after `file_s`. Runs in the
+        writing thread. Raises OSError."""
         with self._writing:
             age_s = time.monotonic() - self._since_s
             if self._recording is not None and age_s > self._section.file_s:
@@ -161,7 +165,8 @@ class McapRecorder:
 
     # ------------------------------------------------------------------------------------ faults
     async def _faults(self) -> None:
-        """A file each time that a fault is latched, and when the daemon is lost while armed."""
+        """Save a file each time that a fault is latched, and when the daemon is lost while
+        armed."""
         latched = False
         while True:
             await asyncio.sleep(WRITE_EVERY_S)
@@ -180,7 +185,7 @@ class McapRecorder:
             latched = bool(view.snapshot.faults)
 
     def _forget(self) -> None:
-        """What is older than a fault's file would hold."""
+        """Drop messages that are too old for a fault's file."""
         kept_s = self._section.before_s + self._section.after_s + WRITE_EVERY_S
         self._waiting.forget(time.time_ns() - round(kept_s * 1e9))
 
@@ -195,12 +200,12 @@ class McapRecorder:
             _log.info("publish.%s: what led to the fault is in %s", self._name, path)
 
     def _write_whole(self, batch: list[Entry], what: str) -> str:
-        """In the thread. Raises OSError."""
+        """Write a whole file and return its path. Runs in the writing thread. Raises OSError."""
         with self._writing:
             return self._written(batch, what)
 
     def _written(self, batch: list[Entry], what: str) -> str:
-        """The file of it. Raises OSError."""
+        """Write a whole file and return its path. Raises OSError."""
         self._recording = self._folder.open(what)
         self._recording.add([*self._described(batch), *batch])
         recording, self._recording = self._recording, None
@@ -209,12 +214,13 @@ class McapRecorder:
 
     # -------------------------------------------------------------------------------------- both
     def _described(self, batch: list[Entry]) -> list[Entry]:
-        """Each file begins with what the robot looks like."""
+        """Return the messages that begin each file: the robot description, and with tf its fixed
+        frames."""
         log_ns = batch[0].log_ns if batch else time.time_ns()
         return [Entry(topic, kind, log_ns, message) for topic, kind, message in self._latched]
 
     def _finish(self) -> None:
-        """At the end: what waits, and the index."""
+        """Write what waits, and the index, at the end."""
         with self._writing:
             try:
                 if self._section.mode == "fault":
@@ -227,8 +233,8 @@ class McapRecorder:
                 _log.warning("publish.%s: %s", self._name, error)
 
     def _finish_fault(self) -> None:
-        """A fault whose time after it is not over, or an end while the robot is armed. Raises
-        OSError."""
+        """Save the file of a fault whose time after it is not over, or of an end while the robot is
+        armed. Raises OSError."""
         view = self._runtime.view
         armed = self._armed or (view is not None and view.snapshot.armed)
         why = self._why or (LOST if armed else None)

@@ -2,9 +2,9 @@
 """What rosbag2 keeps beside the messages of an MCAP file, so that `ros2 bag play` offers a topic as
 its publisher did: what was latched is latched again.
 
-Policies are numbers, which rosbag2 calls version 8: Humble reads no other, and later ones read it
-where a record says so (rosbag2_storage, qos.cpp; rosbag2_storage_mcap, mcap_storage.cpp). YAML is
-written as JSON, which it contains.
+Policies are numbers, as in version 8 of rosbag2's metadata: Humble reads no other version, and
+later releases read it if a record names it (rosbag2_storage, qos.cpp; rosbag2_storage_mcap,
+mcap_storage.cpp). YAML is written as JSON, which it contains.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ RECORD = "rosbag2"
 """Name of the record that holds `METADATA`."""
 _VERSION = 8
 _KEEP_LAST, _RELIABLE, _BEST_EFFORT, _TRANSIENT_LOCAL, _VOLATILE, _AUTOMATIC = 1, 1, 2, 1, 2, 1
-"""rmw/types.h"""
+"""Numbers of rmw/types.h."""
 _INFINITE = {"sec": 9223372036, "nsec": 854775807}
-"""RMW_DURATION_INFINITE"""
+"""RMW_DURATION_INFINITE of rmw/types.h."""
 _COUNTED = {
     "version": _VERSION,
     "storage_identifier": "mcap",
@@ -36,11 +36,11 @@ _COUNTED = {
     "ros_distro": "",
 }
 METADATA = {"serialized_metadata": json.dumps(_COUNTED)}
-"""Its counts are zero: readers take them from the file's index."""
+"""Content of the record. Its counts are zero: readers take them from the file's index."""
 
 
 def channel_metadata(topic: str, type_name: str) -> dict[str, str]:
-    """Of a channel."""
+    """Return the metadata of a channel."""
     quality = offered(topic)
     profile = {
         "history": _KEEP_LAST,

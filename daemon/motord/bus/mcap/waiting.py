@@ -8,11 +8,11 @@ from collections import deque
 from motord.bus.mcap.files import Entry
 
 ENTRY_BYTES = 250
-"""What an entry takes beside its data: itself, its number and its place."""
+"""Memory of an entry beside its data: the object, its number and its place."""
 
 
 class Waiting:
-    """Oldest first, and never more bytes than may be."""
+    """A queue of messages, oldest first, with a limit of its bytes."""
 
     def __init__(self, bytes_max: int) -> None:
         self._bytes_max = bytes_max
@@ -23,7 +23,7 @@ class Waiting:
         return len(self._entries)
 
     def keep(self, entry: Entry) -> int:
-        """The newest. Returns how many of the oldest were lost for it."""
+        """Add the newest message; return how many of the oldest were lost for it."""
         self._entries.append(entry)
         self._bytes += _bytes(entry)
         lost = 0
@@ -33,12 +33,12 @@ class Waiting:
         return lost
 
     def forget(self, oldest_ns: int) -> None:
-        """What is older."""
+        """Drop all messages from before `oldest_ns`."""
         while self._entries and self._entries[0].log_ns < oldest_ns:
             self._drop()
 
     def take(self) -> list[Entry]:
-        """All of them."""
+        """Remove all messages and return them."""
         taken = list(self._entries)
         self._entries.clear()
         self._bytes = 0

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every bus carries: topics, and messages from a snapshot."""
+"""Topics that every bus carries, and messages made from a snapshot."""

@@ -44,7 +44,7 @@ def _section(described: Description) -> Iterator[str]:
 
 
 def _source(source: str) -> str:
-    """Of a matrix, what is in it."""
+    """Return the text of an expression; of a matrix only its different elements."""
     if not source.startswith("["):
         return f"`{source}`"
     cells = ast.parse(source, mode="eval").body
@@ -54,7 +54,7 @@ def _source(source: str) -> str:
 
 
 def page() -> str:
-    """The whole page."""
+    """Return the whole page."""
     lines = [line for described in DESCRIPTIONS.values() for line in _section(described)]
     return HEAD + "\n".join(lines) + "\n"
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the wheels' radius or the track should be, by a distance that a person has measured.
+"""Computes the wheels' radius or the track from a distance that a person has measured.
 
 Nothing here moves the robot: it is watched while a person drives or pushes it from one mark to
-another. The true distance or angle is known beforehand; the odometry gives its own.
+another. The true distance or angle is known beforehand; the odometry gives the measured one.
 
-The factor is that of `motord.api.geometry_fit`, as in `motord calibrate`, with one measure and one
+`motord.api.geometry_fit` computes the factor, as in `motord calibrate`, from one measure with one
 unknown.
 """
 
@@ -25,16 +25,16 @@ REST_S = 2.0
 DISTANCE_MIN_M, DISTANCE_MAX_M = 0.2, 100.0
 ANGLE_MIN_RAD, ANGLE_MAX_RAD = math.pi, 100.0 * math.tau
 TURN_MAX_RAD = 0.1
-"""A path that turns by more is not straight."""
+"""Greatest turn of a path that counts as straight."""
 TIMEOUT_S, TIMEOUT_MAX_S = 300.0, 3600.0
 _NS = 1e-9
 _TRACK_M = 2.0
-"""Any: the factor does not depend on it."""
+"""Track for the fit. It may have any value: the factor does not depend on it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measure:
-    """What is to be found, and the true distance: m for wheel_radius, rad for track."""
+    """The quantity to find, and its true distance: m for wheel_radius, rad for track."""
 
     quantity: Quantity
     true_u: float
@@ -44,7 +44,7 @@ class Measure:
 def measure(
     quantity: str, true_distance_m: float, true_angle_rad: float, timeout_s: float
 ) -> Measure:
-    """Raises ValueError, in words."""
+    """Return the measure for a request. Raises ValueError with a text for the client."""
     if not 0.0 <= timeout_s <= TIMEOUT_MAX_S:
         raise ValueError(f"a time-out of {timeout_s:g} s: it is from 0 to {TIMEOUT_MAX_S:g} s")
     timeout_s = timeout_s or TIMEOUT_S
@@ -61,7 +61,7 @@ def measure(
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """How it ended; `factor` is what the quantity is to be multiplied by, 0 where it failed."""
+    """End of a calibration. `factor`: what the quantity has to be multiplied by; 0 if it failed."""
 
     end: End
     factor: float = 0.0
@@ -69,7 +69,7 @@ class Found:
 
 
 class Calibration:
-    """One in progress. `step` again and again, with the newest snapshot."""
+    """A calibration in progress. Call `step` again and again, with the newest snapshot."""
 
     def __init__(self, asked: Measure, start: Snapshot, now_ns: int, stale_s: float) -> None:
         self.travel = Travel(start)
@@ -80,7 +80,7 @@ class Calibration:
         self._distance_m, self._angle_rad = [0.0], [0.0]
 
     def step(self, snapshot: Snapshot, now_ns: int) -> Found | None:
-        """None: it goes on."""
+        """Take a snapshot; return the end of the calibration, or None while it goes on."""
         why = problem(snapshot, now_ns, self._stale_s) or self.travel.add(snapshot)
         if why is not None:
             return Found(End.ABORTED, why=why)
@@ -116,7 +116,7 @@ class Calibration:
             self._asked.true_u, self.travel.distance_m if straight else self.travel.angle_rad
         )
         pose = Pose(distance_m=true_u) if straight else Pose(heading_rad=true_u)
-        # of a base that is 2 m wide each side rolls its turn
+        # each side of a base that is 2 m wide rolls 1 m for 1 rad
         rolled, turned = np.array(self._distance_m), np.array(self._angle_rad)
         weight = Pose(1.0, 1.0, 1.0, 1.0)
         asked = Measure(self._asked.quantity, rolled - turned, rolled + turned, pose, weight)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plain CDR, little-endian: how every ROS 2 message travels (DDS-XTypes 1.3, 7.4.1: encoding
-version 1, final types). Values are aligned to their size, counted from the end of the header."""
+"""Encodes and decodes plain CDR, little-endian, in which every ROS 2 message is sent (DDS-XTypes
+1.3, 7.4.1: encoding version 1, final types). Values are aligned to their size, counted from the end
+of the header."""
 
 from __future__ import annotations
 
@@ -33,14 +34,15 @@ CODES = {
 }
 _UINT32 = struct.Struct("<I")
 _PADS = (b"", bytes(3), bytes(2), bytes(1))
-"""To the next multiple of 4, by the bytes after the last one."""
+"""Padding to the next multiple of 4, by the number of bytes after the last multiple."""
 _WORD_CHARS = 64
 Write = Callable[[bytearray, Any], None]
 
 
 @cache
 def _struct(codes: str, phase: int) -> struct.Struct:
-    """Values behind each other, each aligned, when the first byte lies at that offset modulo 8."""
+    """Return the struct of consecutive values, each aligned, when the first byte lies at offset
+    `phase` modulo 8."""
     parts, at = ["<"], phase
     for code in codes:
         size = struct.calcsize(code)
@@ -51,9 +53,9 @@ def _struct(codes: str, phase: int) -> struct.Struct:
 
 
 def encode(name: str, message: Any) -> bytearray:
-    """A message, an object whose attributes are the type's fields, with its header and padded to a
-    multiple of 4. Bytes are one that is encoded already. Raises ValueError for a value that does
-    not fit its field."""
+    """Encode a message, an object whose attributes are the type's fields, with its header and
+    padded to a multiple of 4. Bytes are taken for a message that is encoded already. Raises
+    ValueError for a value that does not fit its field."""
     if isinstance(message, bytes):
         return bytearray(message)
     out = bytearray(HEADER)
@@ -68,8 +70,8 @@ def encode(name: str, message: Any) -> bytearray:
 
 @cache
 def _writers(name: str) -> tuple[Write, ...]:
-    """Fixed fields behind each other, also those of nested types, are written together, and so are
-    strings; the others one by one."""
+    """Return the functions that write a type. Consecutive fields of fixed size, also those of
+    nested types, are written together, and so are strings; the others one by one."""
     writers: list[Write] = []
     for kind, run in groupby(_flat(name), lambda found: _kind(found[1])):
         paths, fields = zip(*run, strict=True)
@@ -112,13 +114,13 @@ def _strings(paths: Sequence[str]) -> Write:
 
 
 def _variable(path: str, field: Field) -> Write:
-    """Several of a kind."""
+    """Return the function that writes a field with several values."""
     get, write = attrgetter(path), values_writer(field)
     return lambda out, message: write(out, get(message))
 
 
 def values_writer(field: Field) -> Write:
-    """Writes the values of a field that has several, behind what is there."""
+    """Return the function that appends the values of a field that has several."""
     write_items = _items(field)
     if not field.sequence:
         return write_items
@@ -155,7 +157,7 @@ def _items(field: Field) -> Write:
 
 
 def write_strings(out: bytearray, texts: Sequence[str]) -> None:
-    """Each with its length before it, behind what is there."""
+    """Append texts, each with its length before it."""
     for text in texts:
         out += _PADS[len(out) & 3]
         out += _word(text) if len(text) < _WORD_CHARS else _string(text)
@@ -167,12 +169,12 @@ def _string(text: str) -> bytes:
 
 
 _word = lru_cache(1024)(_string)
-"""Names and states are the same ones again and again."""
+"""`_string` with a cache: the same names and states are written again and again."""
 
 
 def decode(name: str, raw: bytes) -> SimpleNamespace:
-    """The message. Raises ValueError for bytes that are not of that type; what follows it is not
-    looked at."""
+    """Decode a message. Raises ValueError for bytes that are not of that type; bytes after the
+    message are ignored."""
     if raw[:2] != HEADER[:2]:
         raise ValueError(f"{name}: not in plain little-endian CDR (it begins {raw[:4].hex()})")
     try:
@@ -182,12 +184,12 @@ def decode(name: str, raw: bytes) -> SimpleNamespace:
 
 
 Step = str | Field
-"""The codes of fixed fields behind each other, or one field of any length."""
+"""The codes of consecutive fixed fields, or one field of any length."""
 
 
 @cache
 def _steps(name: str) -> tuple[Step, ...]:
-    """What is read one after the other."""
+    """Return the steps in which a type is read."""
     steps: list[Step] = []
     for _, field in _flat(name):
         if field.count is not None or field.kind == "string":
@@ -201,7 +203,7 @@ def _steps(name: str) -> tuple[Step, ...]:
 
 @cache
 def _shape(name: str) -> Callable[[Iterator[Any]], SimpleNamespace]:
-    """From what was read to the message, and to those in it."""
+    """Return the function from values that were read to a message with its nested messages."""
     parts = [
         (field.name, None if field.primitive or field.count is not None else _shape(field.kind))
         for field in TYPES[name]
@@ -231,7 +233,7 @@ class _Reader:
         return _shape(name)(iter(values))
 
     def _field(self, field: Field) -> Any:
-        """A string, or several values."""
+        """Read a string, or several values."""
         if field.count is None:
             return self._string()
         count = self._values("I", 1)[0] if field.sequence else field.count

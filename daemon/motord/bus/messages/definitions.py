@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS 2 types that motord speaks, in the notation of .msg files without comments, constants and
+"""The ROS 2 types that motord uses, in the notation of .msg files without comments, constants and
 defaults (which neither the encoding nor the type hash uses). `===` begins a type; a name without a
-package is of the same one. Interfaces: common_interfaces, geometry2, rcl_interfaces, rmw_dds_common
-as of Jazzy (the graph also as of Humble); motord_msgs is our own; what it publishes is defined in
-`motord.bus.messages.tree`. Of an action only its three parts are here."""
+package is of that type's package. Interfaces: common_interfaces, geometry2, rcl_interfaces,
+rmw_dds_common as of Jazzy (the graph also as of Humble); motord_msgs is our own, and the types of
+it that motord publishes are defined in `motord.bus.messages.tree`. Of an action only its goal,
+result and feedback are here."""
 
 from __future__ import annotations
 

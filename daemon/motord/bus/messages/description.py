@@ -22,40 +22,41 @@ class Row:
     """One field of a message."""
 
     path: str
-    """From the message's root: `pose.pose.position.x`."""
+    """Path from the message's root: `pose.pose.position.x`."""
     type_name: str
-    """In .msg notation, where this row defines it; empty: the type is ROS 2's own."""
+    """Type in .msg notation, if this row defines it; empty: ROS 2 defines the type."""
     source: str
-    """Python; empty: the rows below it fill the field's parts."""
+    """Python expression of the value; empty: the rows below it fill the field's parts."""
     note: str
-    """Its unit, and what is to be known of it."""
+    """Unit of the field, and remarks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Description:
-    """Of one topic."""
+    """The description of one topic."""
 
     topic: str
     type_name: str
     steps: tuple[tuple[str, str], ...]
-    """`let` and `needs` with their text, in their order."""
+    """Pairs of `let` or `needs` and its text, in their order."""
     joints: str
-    """The expression that chooses the joints; empty: all."""
+    """The expression that chooses the joints; empty: all joints."""
     rows: tuple[Row, ...]
 
     @property
     def names_joints(self) -> bool:
-        """The message is about joints."""
+        """Whether the message is about joints."""
         return bool(self.joints) or any("joint." in row.source for row in self.rows)
 
     def definition(self) -> str:
-        """The type as `motord.bus.messages.definitions` has it; empty: it is ROS 2's own."""
+        """Return the type in the notation of `motord.bus.messages.definitions`; empty: ROS 2
+        defines it."""
         lines = [f"{row.type_name} {row.path}" for row in self.rows if row.type_name]
         return "\n".join([f"=== {self.type_name}", *lines, ""]) if lines else ""
 
 
 def _lines(block: str) -> Iterator[str]:
-    """Those that open a bracket go on until it is closed."""
+    """Yield the lines of a block; a line that opens a bracket goes on until it is closed."""
     whole = ""
     for line in block.splitlines():
         whole = f"{whole} {line.strip()}".strip()
@@ -65,7 +66,8 @@ def _lines(block: str) -> Iterator[str]:
 
 
 def descriptions(text: str) -> dict[str, Description]:
-    """By topic. Raises ValueError for a line that is not one of a description."""
+    """Return the descriptions by topic. Raises ValueError for a line that is not one of a
+    description."""
     found = {}
     for block in text.split("=== ")[1:]:
         head, *lines = filter(None, _lines(block))
@@ -89,4 +91,4 @@ def descriptions(text: str) -> dict[str, Description]:
 
 
 DESCRIPTIONS = MappingProxyType(descriptions(TREE))
-"""By topic, in the order of the tree."""
+"""Descriptions by topic, in the order of the tree."""

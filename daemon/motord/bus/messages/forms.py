@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a view to a message, in the form that a bus takes: a dictionary, JSON or CDR. The functions
-are compiled from the descriptions of `motord.bus.messages.tree` when a feed is made.
+"""Makes messages from a view, in the form that a bus takes: a dictionary, JSON or CDR. The
+functions are compiled from the descriptions of `motord.bus.messages.tree` when a feed is made.
 
-A form is made for a topic and a body; its calls take a view and the wall clock's offset. They
-return None where there is no message, and raise ValueError for what does not fit it.
+A form returns a function for a topic and a body. That function takes a view and the wall clock's
+offset. It returns None if there is no message, and raises ValueError for values that do not fit.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ Form = Callable[[Topic, Body], Make]
 _NS = 1_000_000_000
 _STAMP = struct.Struct("<iI")
 _STAMP_OFFSETS = {"tf": 8}
-"""Where it is not the first field."""
+"""Offsets of the stamp in bytes, by topics in which it is not the first field."""
 _SETS_OF_JOINTS_MAX = 64
 
 
 def as_message(topic: Topic, body: Body) -> Make:
-    """The fields of the type as a dictionary."""
+    """Return the function that makes the fields of the type as a dictionary."""
     described = DESCRIPTIONS[topic.name]
     literal = _literal(described, described.type_name, "")
     built = _compiled(described, f"return {literal}", {})
@@ -48,7 +48,8 @@ def as_message(topic: Topic, body: Body) -> Make:
 
 
 def as_json(topic: Topic, body: Body) -> Make:
-    """JSON, without a line end. What is not finite is null."""
+    """Return the function that makes JSON, without a line end. Numbers that are not finite become
+    null."""
     build = as_message(topic, body)
 
     def encoded(view: View, wall_offset_ns: int) -> bytes | None:
@@ -59,13 +60,13 @@ def as_json(topic: Topic, body: Body) -> Make:
 
 
 def as_cdr(topic: Topic, body: Body) -> Make:
-    """Plain CDR with its header, as ROS 2 reads it."""
+    """Return the function that makes plain CDR with its header, as ROS 2 reads it."""
     described = DESCRIPTIONS[topic.name]
     return _chosen(described, body, lambda names: _cdr_encoder(described, body, names))
 
 
 def stamp_ns(topic: str, raw: bytes) -> int:
-    """The snapshot's own moment in a CDR message of that topic, as wall time."""
+    """Return the stamp in a CDR message of that topic, as wall time."""
     sec, nanosec = _STAMP.unpack_from(raw, _STAMP_OFFSETS.get(topic, len(cdr.HEADER)))
     return int(sec * _NS + nanosec)
 
@@ -73,7 +74,8 @@ def stamp_ns(topic: str, raw: bytes) -> int:
 def _chosen(
     described: Description, body: Body, made_for: Callable[[Sequence[str]], Callable[..., Any]]
 ) -> Make:
-    """With the joints that the message is about: names and values of which it is made."""
+    """Return a function that passes the names and values of the message's joints to a function of
+    `made_for`."""
     if not described.names_joints:
         make = made_for(())
         return lambda view, wall_offset_ns: make(view, body, wall_offset_ns, (), ())
@@ -107,9 +109,9 @@ def _of_all_joints(body: Body, make: Callable[..., Any]) -> Make:
 
 
 def _compiled(described: Description, last: str, names: dict[str, Any]) -> Callable[..., Any]:
-    """A function of view, body, offset, names and joints: the description's steps, its stamp, and
-    then `last`. Its text comes from the tree and the number of joints alone, never from a robot
-    file."""
+    """Compile a function of view, body, offset, names and joints: the description's steps, its
+    stamp, and then `last`. Its text comes from the tree and the number of joints alone, never from
+    a robot file."""
     (stamp,) = (row.source for row in described.rows if row.path.endswith(".stamp"))
     steps = {"let": "{}", "needs": "if not ({}): return None"}
     lines = [
@@ -133,7 +135,7 @@ def _compiled(described: Description, last: str, names: dict[str, Any]) -> Calla
 
 
 def _literal(described: Description, type_name: str, prefix: str) -> str:
-    """The dictionary of a type, as Python."""
+    """Return the dictionary of a type, as Python text."""
     rows = {row.path: row for row in described.rows}
     parts = []
     for field in TYPES[type_name]:
@@ -156,8 +158,9 @@ def _literal(described: Description, type_name: str, prefix: str) -> str:
 
 
 def _cdr_encoder(described: Description, body: Body, names: Sequence[str]) -> Callable[..., Any]:
-    """Values of known sizes are packed at once. Those from the first to the last of unknown size
-    are mostly words: they are laid out again only when one of them changes."""
+    """Return the function that makes CDR. Values of known sizes are packed at once. Those from the
+    first to the last of unknown size are mostly words: they are laid out again only when one of
+    them changes."""
     found = items(described, body, names)
     places = [place for place, item in enumerate(found) if isinstance(item, Open)]
     begin, end = (places[0], places[-1] + 1) if places else (len(found), len(found))
@@ -181,22 +184,22 @@ def _cdr_encoder(described: Description, body: Body, names: Sequence[str]) -> Ca
 
 
 def _closed(found: Sequence[Item]) -> list[Constant | Fixed]:
-    """Those of known sizes."""
+    """Return the values of known sizes."""
     return [item for item in found if not isinstance(item, Open)]
 
 
 class _Words:
-    """The part of a message that has no length of its own, and what follows it."""
+    """The part of a message that has no fixed length, and the values after it."""
 
     def __init__(self, words: Sequence[Item], rest: Sequence[Item], at: int) -> None:
         self._words, self._rest, self._at = words, rest, at
         self._packs: dict[int, Callable[..., bytes]] = {}
         self.values: tuple[Any, ...] | None = None
         self.kept: tuple[bytes, Callable[..., bytes]]
-        """The bytes of `values`, and what packs the rest behind them."""
+        """The bytes of `values`, and the function that packs the rest after them."""
 
     def lay_out(self, values: tuple[Any, ...]) -> tuple[bytes, Callable[..., bytes]]:
-        """As `kept`."""
+        """Lay out values; return the new `kept`."""
         raw = self._written(values)
         self.kept, self.values = (raw, self._pack((self._at + len(raw)) & 7)), values
         return self.kept
@@ -218,7 +221,7 @@ class _Words:
         return bytes(out[begin:])
 
     def _pack(self, phase: int) -> Callable[..., bytes]:
-        """For a rest that begins at that place, modulo 8."""
+        """Return the function that packs a rest which begins at offset `phase` modulo 8."""
         if phase not in self._packs:
             block = Block(_closed(self._rest), phase)
             pack = block.struct(last=True).pack

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the journal of a running daemon, with the standard library alone, and makes messages of it
-that a recording keeps: docs/replay.md."""
+"""Reads the journal of a running daemon, and makes messages of it that a recording keeps:
+docs/replay.md."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ TOPIC, TYPE_NAME = "core_journal", "motord_msgs/msg/CoreJournal"
 _MAGIC = b"MOTORDJ\1"
 _LAYOUT_VERSION = 12
 _HEADER = struct.Struct("=8s10I2Q")
-"""magic; layout version; records: count, stride, offset, bytes; checkpoints: the same four; the
-writer's process; records and checkpoints so far."""
+"""Fields: magic; layout version; records: count, stride, offset, bytes; checkpoints: the same four;
+the writer's process; records and checkpoints so far."""
 _SEQUENCE = struct.Struct("=Q")
 _MARGIN = 256
-"""Records that the writer may add while the oldest ones are read."""
+"""Number of records that the writer may add while the oldest ones are read."""
 _CHECKPOINT_EVERY = 1024
-"""Records; a state is taken before the first of each such run."""
+"""Number of records after each checkpoint, which is the state before the first of them."""
 _RECORDS_MAX = 2048
-"""In one message; what is more comes in the next."""
+"""Largest number of records in one message; more records follow in the next."""
 _FIXED = struct.Struct("<4I")
 
 
 class NoJournal(Exception):
-    """There is no journal to be read; the text says why."""
+    """There is no journal to be read; the text is the reason."""
 
 
 class Journal:
-    """The journal of one robot, read from the oldest record on to which a state leads."""
+    """The journal of one robot, read from the oldest record that a checkpoint precedes."""
 
     def __init__(self, path: Path, memory: mmap.mmap) -> None:
         self._path = path
@@ -55,7 +55,7 @@ class Journal:
 
     @classmethod
     def open(cls, robot: str) -> Self:
-        """Attach to the journal of that robot. Raises NoJournal."""
+        """Open the journal of that robot. Raises NoJournal."""
         path = find_page(robot, JOURNAL)
         try:
             fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
@@ -84,7 +84,7 @@ class Journal:
 
     @property
     def gone(self) -> bool:
-        """The file was removed, or there is another daemon's in its place."""
+        """Whether the file was removed, or another daemon's is in its place."""
         try:
             same = self._path.stat().st_ino == self._inode
         except FileNotFoundError:
@@ -92,12 +92,12 @@ class Journal:
         return not same or _HEADER.unpack_from(self._memory)[10] != self._pid
 
     def take_lost(self) -> int:
-        """Records that were overwritten before they were read, since the last call."""
+        """Return how many records were overwritten before they were read, since the last call."""
         lost, self._lost = self._lost, 0
         return lost
 
     def message(self) -> bytes | None:
-        """What is new, as a CoreJournal in CDR; None: nothing is."""
+        """Return what is new, as a CoreJournal in CDR; None: nothing is new."""
         checkpoints, records = self._new_checkpoints(), self._new_records()
         if not checkpoints and not records:
             return None
@@ -130,7 +130,7 @@ class Journal:
         first = self._records
         oldest = so_far - self._count + _MARGIN
         if oldest > first:
-            # No state that is still there leads to what lies before the next one.
+            # Records before the next checkpoint are of no use: the one before them is gone.
             oldest += -oldest % _CHECKPOINT_EVERY
             self._lost += oldest - first if first > 0 else 0
             first = oldest
@@ -146,7 +146,7 @@ class Journal:
         return b"".join(found)
 
     def _slot(self, at: int, number: int, size: int) -> bytes | None:
-        """What lies there, whole; None: it has been overwritten."""
+        """Return the content of a slot; None: it has been overwritten."""
         start = at + _SEQUENCE.size
         before = _SEQUENCE.unpack_from(self._memory, at)[0]
         found = self._memory[start : start + size]

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as JSON has them: the shape that rosbridge and Foxglove know. NaN and infinity:
-null."""
+"""Messages as JSON, in the form that rosbridge and Foxglove know. NaN and infinity become null."""
 
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ except ImportError:  # the standard library does the same, slower
 
 
 def plain(value: Any) -> Any:
-    """A message as dictionaries, lists and numbers that JSON has."""
+    """Return a message as dictionaries, lists and numbers that JSON has."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, tuple | list):
@@ -30,7 +29,7 @@ def plain(value: Any) -> Any:
 
 
 def encode_slowly(message: Any) -> bytes:
-    """As `encode`, by the standard library alone."""
+    """Encode as `encode` does, by the standard library alone."""
     try:
         return _ENCODER.encode(message).encode()
     except ValueError:  # a number that JSON does not have
@@ -38,22 +37,21 @@ def encode_slowly(message: Any) -> bytes:
 
 
 def _fields(record: Any) -> dict[str, Any]:
-    """One level of a message; the encoder requests the next."""
+    """Return one level of a message; the encoder requests the next."""
     return {name: getattr(record, name) for name in record.__dataclass_fields__}
 
 
 _ENCODER = json.JSONEncoder(allow_nan=False, separators=(",", ":"), default=_fields)
 encode: Callable[[Any], bytes] = encode_slowly if msgspec is None else msgspec.json.Encoder().encode
-"""A message, or what JSON has, as JSON without a line end."""
+"""Function that returns a message, or a value that JSON has, as JSON without a line end."""
 
 
 _TEXTS = json.JSONEncoder(ensure_ascii=False)
 
 
 def decode(raw: str | bytes) -> Any:
-    """What the JSON says. Raises ValueError, also for one that is nested too deeply or has a text
-    that is not valid: half a surrogate pair (RFC 8259, section 8.2) could not be answered or
-    logged."""
+    """Decode JSON. Raises ValueError, also for JSON that is nested too deeply or has a text that is
+    not valid: half a surrogate pair (RFC 8259, section 8.2) could not be answered or logged."""
     try:
         value = json.loads(raw)
         _TEXTS.encode(value).encode()

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the values of a described message lie in CDR: what is constant is laid out beforehand, and
-what has no length of its own is kept apart."""
+"""Computes where the values of a described message lie in CDR: constants are laid out beforehand,
+and values without a fixed length are kept apart."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _CONSTANT_NAMES = ("body", "names", "nan")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Constant:
-    """A value that the robot file settles."""
+    """A value that follows from the robot file alone."""
 
     code: str
-    """Of `struct`, for one value."""
+    """Format code of `struct`, for one value."""
     value: Any
 
 
@@ -39,13 +39,13 @@ class Fixed:
     """A value of a known size."""
 
     code: str
-    """Of `struct`; several values: the count stands before it."""
+    """Format code of `struct`; for several values with their number before it."""
     source: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Open:
-    """A text, or values of any number."""
+    """A text, or any number of values."""
 
     field: Field
     source: str
@@ -55,12 +55,12 @@ Item = Constant | Fixed | Open
 
 
 def per_joint(source: str) -> bool:
-    """The expression has one value for each joint."""
+    """Return whether an expression has one value for each joint."""
     return _PER_JOINT.search(source) is not None
 
 
 def zero(field: Field) -> Any:
-    """The value of a primitive field that a description does not name."""
+    """Return the value of a primitive field that a description does not name."""
     one = "" if field.kind == "string" else 0.0 if field.kind.startswith("float") else 0
     one = False if field.kind == "bool" else one
     if field.count is None:
@@ -69,7 +69,7 @@ def zero(field: Field) -> Any:
 
 
 def items(described: Description, body: Body, names: Sequence[str]) -> list[Item]:
-    """The message's values in their order, for joints of those names."""
+    """Return the message's values in their order, for joints of those names."""
     rows = {row.path: row for row in described.rows}
     known = {"body": body, "names": names}
     found: list[Item] = []
@@ -79,7 +79,8 @@ def items(described: Description, body: Body, names: Sequence[str]) -> list[Item
 
 
 def _leaves(type_name: str, prefix: str, rows: Mapping[str, Row]) -> Iterator[tuple[Field, str]]:
-    """Fields without parts, and their expression; a stamp's parts are `sec` and `nanosec`."""
+    """Yield the fields without parts, and their expressions; a stamp's parts are `sec` and
+    `nanosec`."""
     for field in TYPES[type_name]:
         path = prefix + field.name
         source = rows[path].source if path in rows else ""
@@ -146,14 +147,15 @@ def _constants(field: Field, values: Iterable[Any]) -> Iterator[Constant]:
 
 
 class Block:
-    """Values of known sizes behind each other."""
+    """Consecutive values of known sizes."""
 
     def __init__(self, values: Iterable[Constant | Fixed], at: int, before: bytes = b"") -> None:
-        """`at`: where the block begins, from the end of the header. `before` is put before it."""
+        """`at`: offset of the block from the end of the header. `before`: bytes to put before the
+        block."""
         self.end = at
         self.constants: list[bytes] = []
         self.arguments: list[str] = []
-        """Expressions for `pack`; `constants[0]` is named CONSTANT_0."""
+        """Expressions that are passed to `pack`; `constants[0]` is named CONSTANT_0."""
         self._format, self._pending = ["<"], before
         for value in values:
             size = struct.calcsize(f"<{value.code[-1]}")
@@ -180,7 +182,8 @@ class Block:
             self._format.append(f"{len(raw)}s")
 
     def struct(self, *, last: bool) -> struct.Struct:
-        """Of all values; padded to a multiple of 4 where the message ends with it."""
+        """Return the struct of all values; `last`: pad it to a multiple of 4, because the message
+        ends with it."""
         if last:
             self._add(bytes(-self.end % 4))
         self._flush()

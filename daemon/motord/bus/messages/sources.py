@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the expressions of `motord.bus.messages.tree` know besides Python: names of frames and
-joints, constants, and pure functions of a snapshot."""
+"""Names that the expressions of `motord.bus.messages.tree` may use besides Python's: names of
+frames and joints, constants, and pure functions of a snapshot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from motord.api.snapshot import STATES, ImuSnapshot, JointSnapshot, Snapshot
 if TYPE_CHECKING:
     from motord.bus.messages.topics import View
 
-__all__ = ["cos", "isfinite", "nan", "sin"]  # for the expressions
+__all__ = ["cos", "isfinite", "nan", "sin"]  # for the expressions of the tree
 UNMEASURED = 1e6
 """Variance of what wheels cannot measure: height, roll, pitch. Filters give it no weight."""
 NOT_MEASURED = (-1.0, *[0.0] * 8)
@@ -24,13 +24,13 @@ NOT_MEASURED = (-1.0, *[0.0] * 8)
 ERROR_UNKNOWN = (0.0,) * 9
 """Covariance of what is measured with an unknown error (sensor_msgs/Imu)."""
 NOT_PUBLISHED = ("stale", "reversed")
-"""States of a sensor that must not be believed."""
+"""States of an inertial sensor whose measurements must not be published."""
 _NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """The names that a snapshot lacks. REP-105 defines those of the frames."""
+    """The names that a snapshot does not contain. REP-105 defines those of the frames."""
 
     robot: str
     joints: tuple[str, ...]
@@ -38,14 +38,14 @@ class Body:
     base_frame: str = "base_link"
 
     def with_frames(self, prefix: str) -> Body:
-        """The same, with the prefix before each frame name."""
+        """Return a copy with the prefix before each frame name."""
         return replace(
             self, odom_frame=prefix + self.odom_frame, base_frame=prefix + self.base_frame
         )
 
 
 class Commander(NamedTuple):
-    """The source in command: its lease's owner, its priority, and why it is that one."""
+    """The source in command: its lease's owner, its priority, and why it is in command."""
 
     owner: str
     priority: int
@@ -56,7 +56,7 @@ NOBODY = Commander(owner="", priority=0, why="")
 
 
 class Level(enum.IntEnum):
-    """Of diagnostic_msgs/DiagnosticStatus."""
+    """Level of a diagnostic_msgs/DiagnosticStatus."""
 
     OK = 0
     WARN = 1
@@ -65,7 +65,8 @@ class Level(enum.IntEnum):
 
 
 class PowerSupply(enum.IntEnum):
-    """Of sensor_msgs/BatteryState: status; health and technology are unknown to us."""
+    """Values of sensor_msgs/BatteryState.power_supply_status; health and technology are unknown to
+    us."""
 
     UNKNOWN = 0
     CHARGING = 1
@@ -92,7 +93,7 @@ class DiagnosticStatus:
 
 
 class Battery(NamedTuple):
-    """NaN: not measured. `current_a` flows into the battery."""
+    """Measurements of the battery; NaN: not measured. `current_a` flows into the battery."""
 
     voltage_v: float
     current_a: float = nan
@@ -102,12 +103,13 @@ class Battery(NamedTuple):
 
 
 def or_zero(value: float) -> float:
-    """Zero for what is not measured."""
+    """Return the value; zero if it was not measured."""
     return value if isfinite(value) else 0.0
 
 
 def all_joints(now: Snapshot, body: Body) -> tuple[Sequence[str], Sequence[JointSnapshot]]:
-    """Names and joints. Raises ValueError: the daemon runs another robot file of this name."""
+    """Return names and joints. Raises ValueError if the daemon runs another robot file of this
+    name."""
     names, joints = body.joints, now.joints
     if len(names) != len(joints):
         raise ValueError(f"{len(joints)} joints, and the robot file has {len(names)}")
@@ -115,8 +117,8 @@ def all_joints(now: Snapshot, body: Body) -> tuple[Sequence[str], Sequence[Joint
 
 
 def with_position(now: Snapshot, body: Body) -> tuple[Sequence[str], Sequence[JointSnapshot]]:
-    """Those that were received and have a position; a velocity may be NaN. Raises ValueError as
-    `all_joints` does."""
+    """Return names and joints that have feedback and a position; a velocity may be NaN. Raises
+    ValueError: see `all_joints`."""
     names, joints = all_joints(now, body)
     known = [isfinite(joint.position_rad) and isfinite(joint.feedback_age_s) for joint in joints]
     if all(known):
@@ -125,22 +127,23 @@ def with_position(now: Snapshot, body: Body) -> tuple[Sequence[str], Sequence[Jo
 
 
 def oldest_ns(joints: Sequence[JointSnapshot]) -> int:
-    """The age of the oldest feedback."""
+    """Return the age of the oldest feedback."""
     return round(max([joint.feedback_age_s for joint in joints]) * _NS)
 
 
 def rate_variance(rate_rad_s: float, yaw_variance: float) -> float:
-    """An axis without a known error counts as good as the yaw rate, and one that is not measured
-    not at all. Zero: before the gyro has a zero, its quality is unknown."""
+    """Return the variance of the rate about an axis. That of the yaw rate counts for each axis that
+    is measured; another axis has UNMEASURED. Zero: the quality is unknown before the gyro has a
+    zero."""
     if not isfinite(yaw_variance):
         return 0.0
     return yaw_variance if isfinite(rate_rad_s) else UNMEASURED
 
 
 def battery_of(view: View) -> Battery | None:
-    """[battery] of the robot file by the daemon's status; without one the lowest supply voltage
-    that a fresh drive measures. None: nothing measures it. The motors' current is not the
-    battery's, and stays NaN."""
+    """Return [battery] of the robot file by the daemon's status; without a [battery] the lowest
+    supply voltage that a fresh drive measures; None: nothing measures it. The motors' current is
+    not the battery's, and stays NaN."""
     found = view.battery()
     if found is not None:
         if found["voltage_v"] is None:
@@ -165,7 +168,7 @@ def _or_nan(value: float | None) -> float:
 
 
 def power_supply_status(current_a: float) -> PowerSupply:
-    """By the current into the battery."""
+    """Return the status by the current into the battery."""
     if current_a == 0.0 or not isfinite(current_a):
         return PowerSupply.UNKNOWN
     return PowerSupply.CHARGING if current_a > 0.0 else PowerSupply.DISCHARGING
@@ -175,7 +178,8 @@ _BATTERY_LEVELS = {"normal": Level.OK, "warning": Level.WARN, "critical": Level.
 
 
 def diagnostics(view: View, body: Body) -> tuple[DiagnosticStatus, ...]:
-    """The base, each joint, and the inertial sensor and the battery where there are such."""
+    """Return the diagnostics of the base and each joint, and of the inertial sensor and the battery
+    if there are such."""
     snapshot, battery = view.snapshot, view.battery()
     statuses = (_base_diagnostic(snapshot, body), *_joint_diagnostics(snapshot, body))
     if snapshot.imu is not None:
@@ -254,6 +258,6 @@ def _pairs(values: Mapping[str, str]) -> tuple[KeyValue, ...]:
 
 
 def state_name(snapshot: Snapshot) -> str:
-    """The name of the state; a number that this version does not know is shown as it is."""
+    """Return the name of the state; a number that this version does not know is shown as it is."""
     number = snapshot.machine_state
     return STATES[number] if 0 <= number < len(STATES) else f"state {number}"

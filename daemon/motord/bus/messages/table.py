@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS 2 types as data, and the hash by which both ends of a topic know that they mean the same
-(REP-2011, RIHS01: SHA-256 of the type's description as JSON, comments and defaults left out)."""
+"""ROS 2 types as data, and the hash by which both ends of a topic compare their types (REP-2011,
+RIHS01: SHA-256 of the type's description as JSON, comments and defaults left out)."""
 
 from __future__ import annotations
 
@@ -36,31 +36,31 @@ _IDS = {
 _NESTED, _BOUNDED_STRING = 1, 21
 _ARRAY, _BOUNDED_SEQUENCE, _SEQUENCE = 48, 96, 144
 PLACEHOLDER = "structure_needs_at_least_one_member"
-"""The field of a type that has none: rosidl's."""
+"""The field that rosidl gives to a type without fields."""
 _FIELD = re.compile(r"([\w/]+)(?:<=(\d+))?(?:\[(<=)?(\d*)\])? (\w+)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
-    """One field. `count`: None is a single value, 0 any number of them, else at most or exactly so
-    many by `bounded`."""
+    """A field of a type. `count`: None: a single value; 0: any number of values; otherwise at most
+    so many values if `bounded`, else exactly so many."""
 
     name: str
     kind: str
-    """A primitive, or the full name of a type."""
+    """Type of the value: a primitive, or the full name of a type."""
     count: int | None = None
     bounded: bool = False
     chars_max: int = 0
-    """Of a string; 0: any."""
+    """Largest length of a string; 0: any length."""
 
     @property
     def primitive(self) -> bool:
-        """Not a type of its own."""
+        """Whether the field has a primitive type."""
         return self.kind in _IDS
 
     @property
     def sequence(self) -> bool:
-        """Its length is part of the message."""
+        """Whether the number of values is part of the message."""
         return self.count is not None and (self.count == 0 or self.bounded)
 
 
@@ -91,8 +91,8 @@ _EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 
 
 def _services(messages: Iterable[str]) -> Iterator[tuple[str, tuple[Field, ...]]]:
-    """A service as the one type whose hash it has on Zenoh: request, response, and the event of
-    service introspection (rosidl_generator_type_description)."""
+    """Yield for each service the type whose hash it has on Zenoh, of request, response and event,
+    and the event of service introspection (rosidl_generator_type_description)."""
     for name in messages:
         service, ending, rest = name.partition("_Request")
         if ending and not rest:
@@ -115,8 +115,8 @@ def _services(messages: Iterable[str]) -> Iterator[tuple[str, tuple[Field, ...]]
 
 
 def _actions(messages: Iterable[str]) -> Iterator[tuple[str, tuple[Field, ...]]]:
-    """What passes between an action's client and its server: two services and the feedback topic
-    (rosidl_parser, ACTION_* in its definition.py)."""
+    """Yield the types that an action's client and server exchange: two services and the feedback
+    topic (rosidl_parser, ACTION_* in its definition.py)."""
     goal_id = Field(name="goal_id", kind="unique_identifier_msgs/msg/UUID")
     for name in messages:
         action, ending, rest = name.partition("_Goal")
@@ -143,7 +143,7 @@ TYPES = MappingProxyType(_MESSAGES | dict(_services(_MESSAGES)))
 
 
 def definition(name: str) -> str:
-    """The type and all that it is made of, in .msg notation, as MCAP and Foxglove expect it."""
+    """Return a type and all its parts in .msg notation, as MCAP and Foxglove expect it."""
     separator = "=" * 80
     return message_definition(name) + "".join(
         f"{separator}\nMSG: {other.replace('/msg/', '/')}\n{message_definition(other)}"
@@ -152,12 +152,12 @@ def definition(name: str) -> str:
 
 
 def message_definition(name: str) -> str:
-    """The text of NAME.msg."""
+    """Return the text of NAME.msg."""
     return "".join(f"{_line(field)}\n" for field in TYPES[name])
 
 
 def action_definition(name: str) -> str:
-    """The text of NAME.action: goal, result and feedback."""
+    """Return the text of NAME.action: goal, result and feedback."""
     parts = (f"{name}_{part}" for part in ("Goal", "Result", "Feedback"))
     return "---\n".join(map(message_definition, parts))
 
@@ -169,7 +169,7 @@ def _line(field: Field) -> str:
 
 
 def made_of(name: str) -> list[str]:
-    """Every type that it needs, sorted."""
+    """Return every type that a type needs, sorted."""
     found: set[str] = set()
     todo = [name]
     while todo:
@@ -181,8 +181,8 @@ def made_of(name: str) -> list[str]:
 
 
 def description(name: str) -> dict[str, Any]:
-    """As type_description_interfaces/TypeDescription has it, without default values. Raises
-    KeyError for a type that is not known."""
+    """Return a type's description in the form of type_description_interfaces/TypeDescription,
+    without default values. Raises KeyError for a type that is not known."""
     return {
         "type_description": _described(name),
         "referenced_type_descriptions": [_described(other) for other in made_of(name)],
@@ -191,7 +191,8 @@ def description(name: str) -> dict[str, Any]:
 
 @cache
 def type_hash(name: str) -> str:
-    """`RIHS01_` and 64 hexadecimal digits. Raises KeyError for a type that is not known."""
+    """Return a type's hash: `RIHS01_` and 64 hexadecimal digits. Raises KeyError for a type that is
+    not known."""
     text = json.dumps(description(name), separators=(", ", ": "))
     return f"RIHS01_{hashlib.sha256(text.encode()).hexdigest()}"
 
@@ -218,5 +219,5 @@ def _type_of(field: Field) -> dict[str, Any]:
 
 
 def with_parts(service: str) -> tuple[str, str, str]:
-    """A service, its request and its reply."""
+    """Return the names of a service, its request and its reply."""
     return service, f"{service}_Request", f"{service}_Response"

@@ -20,27 +20,28 @@ class View:
 
     snapshot: Snapshot
     status: Mapping[str, Any] | None = None
-    """Of the local socket; None: not asked yet, or no answer."""
+    """The daemon's answer to `status` on the local socket; None: not requested yet, or no
+    answer."""
     status_ns: int = 0
-    """When it was asked for, CLOCK_MONOTONIC."""
+    """When the status was requested, CLOCK_MONOTONIC."""
 
     def battery(self) -> Mapping[str, Any] | None:
-        """As the daemon's status has it. None: no [battery], or the daemon has not reported it
-        yet."""
+        """Return the battery of the daemon's status; None: no [battery], or the daemon has not
+        reported it yet."""
         return (self.status or {}).get("battery")
 
     def why(self) -> tuple[str, ...]:
-        """What led to the faults that are latched. Empty: none is, or the daemon has not reported
-        it."""
+        """Return what led to the latched faults; empty: no fault is latched, or the daemon has not
+        reported the reason."""
         return tuple((self.status or {}).get("why", ())) if self.snapshot.faults else ()
 
     def loop(self) -> Mapping[str, Any] | None:
-        """Statistics of the real-time loop. None: no answer of the daemon yet."""
+        """Return statistics of the real-time loop; None: no answer of the daemon yet."""
         return None if self.status is None else self.status["loop"]
 
     def commander(self) -> Commander | None:
-        """The source whose lease is in command. None: there is none, or the daemon has not reported
-        it yet."""
+        """Return the source whose lease is in command; None: no source commands, or the daemon has
+        not reported it yet."""
         for lease in (self.status or {}).get("leases", ()):
             if lease["number"] == self.snapshot.owner:
                 return Commander(owner=lease["owner"], priority=lease["priority"], why=lease["why"])
@@ -49,19 +50,20 @@ class View:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Topic:
-    """One name of the tree; `motord.bus.messages.forms` makes its messages."""
+    """A topic of the tree; `motord.bus.messages.forms` makes its messages."""
 
     name: str
     type_name: str
-    """ROS 2's; our own types are of the package motord_msgs."""
+    """Type of the messages in ROS 2; our own types are of the package motord_msgs."""
 
 
 TOPICS = MappingProxyType(
     {name: Topic(name=name, type_name=one.type_name) for name, one in DESCRIPTIONS.items()}
 )
-"""By name."""
+"""Topics by name."""
 
 
 def wall_offset_ns() -> int:
-    """CLOCK_REALTIME less CLOCK_MONOTONIC, now: what turns a snapshot's stamp into wall time."""
+    """Return CLOCK_REALTIME less CLOCK_MONOTONIC, now: it turns a snapshot's stamp into wall
+    time."""
     return time.time_ns() - time.monotonic_ns()

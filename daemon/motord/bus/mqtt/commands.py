@@ -6,7 +6,7 @@
     call            {"token": ..., "method": "arm", "id": 7}, which is answered, also where the
                     token is missing or wrong
 
-on topics by names.py. A retained message is old, so it is ignored; a message older than the
+on the topics of names.py. A retained message is old, so it is ignored; a message older than the
 lease's lifetime is refused.
 """
 
@@ -30,17 +30,18 @@ if TYPE_CHECKING:
 
 PAYLOAD_BYTES_MAX = 4096
 CALLS_MAX, ANSWERS_MAX = 16, 64
-"""Calls in progress, and answers that the broker has not taken yet. What is urgent passes both."""
+"""Largest number of calls in progress, and of answers that the broker has not taken yet. A stop and
+an emergency stop are carried out beyond both limits."""
 REFUSALS_MAX = 4
-"""Answers to calls without the token that the broker has not taken yet: beyond them strangers get
-none, and they take no room from calls with the token."""
+"""Largest number of answers to calls without the token that the broker has not taken yet. More of
+these calls get no answer, so they take no room from calls with the token."""
 
 _log = logging.getLogger(__name__)
 
 
 class MqttCommands:
     def __init__(self, name: str, section: MqttInput, runtime: Runtime) -> None:
-        """Raises as MqttConnection and CommandGate."""
+        """Raises the errors of `MqttConnection` and `CommandGate`."""
         self._connection = MqttConnection(f"input.{name}", section, runtime)
         self._gate = CommandGate(name, section, runtime)
         names = self._connection.names
@@ -50,7 +51,7 @@ class MqttCommands:
         self._refusals: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._gate.source.run())
             tasks.create_task(self._connection.keep(self._use))
@@ -86,7 +87,8 @@ class MqttCommands:
     def _call(
         self, client: aiomqtt.Client, request: Mapping[str, Any]
     ) -> Coroutine[Any, Any, None]:
-        """What is to be done for it. Raises NotTaken where not even an answer is possible."""
+        """Return the coroutine that serves the call. Raises NotTaken if not even an answer is
+        possible."""
         if len(self._calls) < CALLS_MAX or request.get("method") in URGENT:
             return self._act(client, request)
         busy = self._gate.busy()
@@ -106,11 +108,11 @@ class MqttCommands:
         self, client: aiomqtt.Client, request: Mapping[str, Any], **reply: object
     ) -> None:
         answer = {"id": tag(request.get("id")), "method": tag(request.get("method"))} | reply
-        with contextlib.suppress(aiomqtt.MqttError):  # the receiver has to go on
+        with contextlib.suppress(aiomqtt.MqttError):  # receiving has to go on
             await client.publish(self._connection.names.answer, self._connection.encode(answer), 1)
 
 
 def _kept(task: asyncio.Task[None], tasks: set[asyncio.Task[None]]) -> None:
-    """Counted among these until it is done."""
+    """Keep the task in `tasks` until it is done."""
     tasks.add(task)
     task.add_done_callback(tasks.discard)

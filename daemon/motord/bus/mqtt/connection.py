@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A connection to an MQTT 3.1.1 broker that comes back by itself (aiomqtt)."""
+"""A connection to an MQTT 3.1.1 broker (aiomqtt) that reconnects by itself."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
 
 KEEPALIVE_S = 5
-"""A connection to a broker that is silent for this long ends; what it holds for us is lost."""
+"""A connection ends when the broker is silent for this long; messages that the broker still holds
+for this client are lost."""
 ANSWER_WITHIN_S = 5.0
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 5.0
 QUEUED_MAX = 256
@@ -36,11 +37,11 @@ _log = logging.getLogger(__name__)
 
 
 class MqttConnection:
-    """One client of one broker. `use` runs with each connection that there is."""
+    """One client of one broker. `keep` runs a function with each connection."""
 
     def __init__(self, where: str, section: MqttBroker, runtime: Runtime) -> None:
         """`where` is the section's name in the robot file. Raises OSError and ValueError for files
-        that cannot be used, ImportError where the encoding's package is missing."""
+        that cannot be used, and ImportError if the encoding's package is missing."""
         self._where = where
         robot = runtime.robot.robot.name
         self._section = section
@@ -49,7 +50,7 @@ class MqttConnection:
         if section.password_file is not None:
             self._password = read_secret(runtime.beside_robot_file(section.password_file))
         self._tls = _tls_context(section, runtime) if section.tls else None
-        # it logs every message that a full queue drops: a flooded topic would fill the log
+        # aiomqtt logs every message that a full queue drops: a flooded topic would fill the log
         self._library_log = logging.getLogger(f"{__name__}.{where}")
         self._library_log.setLevel(logging.WARNING)
         self._library_log.addFilter(RateLimitedFilter(self._library_log, where))
@@ -72,13 +73,13 @@ class MqttConnection:
         use: Callable[[aiomqtt.Client], Awaitable[None]],
         will: Callable[[], aiomqtt.Will | None] = lambda: None,
     ) -> None:
-        """Until cancelled: connect, use, and again; `will` is of one connection. What is wrong is
-        logged once."""
+        """Connect and run `use`, again and again until cancelled. `will` is called for each
+        connection. Of a series of failures only the first is logged."""
         again_s, failing = AGAIN_MIN_S, False
         while True:
             try:
                 async with self._connected(will()) as client:
-                    raise_if_cancelled()  # as of `taken`
+                    raise_if_cancelled()  # for the reason given in `taken`
                     if failing:
                         _log.info("%s: connected again", self._where)
                     again_s, failing = AGAIN_MIN_S, False
@@ -113,9 +114,9 @@ class MqttConnection:
 
 
 async def taken(call: Awaitable[object]) -> None:
-    """Awaits a call of aiomqtt, and ends with it when the task is cancelled. aiomqtt waits by
-    asyncio.wait_for, which before Python 3.12 drops a cancellation that meets the answer: the
-    publisher would go on, and motord-bus never end."""
+    """Await a call of aiomqtt, and raise CancelledError if the task was cancelled. aiomqtt uses
+    asyncio.wait_for, which before Python 3.12 drops a cancellation that arrives together with the
+    answer: the publisher would go on, and motord-bus would never end."""
     await call
     raise_if_cancelled()
 
@@ -131,7 +132,8 @@ def _tls_context(section: MqttBroker, runtime: Runtime) -> ssl.SSLContext:
 
 
 def encoder(encoding: str) -> Callable[[Any], bytes]:
-    """From a message to bytes. Raises ImportError."""
+    """Return the function from a message to bytes. Raises ImportError if the encoding's package is
+    missing."""
     if encoding == "json":
         return json_form.encode
     import cbor2
@@ -140,7 +142,8 @@ def encoder(encoding: str) -> Callable[[Any], bytes]:
 
 
 def decoder(encoding: str) -> Callable[[bytes], Any]:
-    """From bytes to dictionaries and numbers, or ValueError. Raises ImportError."""
+    """Return the function from bytes to dictionaries and numbers; it raises ValueError for bytes
+    that are not valid. Raises ImportError if the encoding's package is missing."""
     if encoding == "json":
         return json_form.decode
     import cbor2

@@ -7,8 +7,8 @@ sparkplug  NAMESPACE/GROUP/DDATA/ROBOT/odom, .../DCMD/ROBOT/cmd_vel, .../NCMD/RO
            .../NDATA/ROBOT (answers); retained .../NBIRTH/ROBOT, .../DBIRTH/ROBOT/odom,
            .../NDEATH/ROBOT
 
-The second has Sparkplug's names and its birth and death, not its payloads (Eclipse Sparkplug 3.0,
-chapters 4 and 6): those stay JSON or CBOR. A robot is an edge node, a topic is a device of it.
+sparkplug has the names and the birth and death messages of Eclipse Sparkplug 3.0, chapters 4 and
+6, but not its payloads: those stay JSON or CBOR. The robot is an edge node, each topic a device.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ ONLINE, OFFLINE = b"online", b"offline"
 SPARKPLUG = "spBv1.0"
 GROUP = "motord"
 CALL = "call"
-"""What is received beside commands."""
+"""Stands for the topic of calls in `Names.received`."""
 Encode = Callable[[Any], bytes]
 Sent = tuple[str, bytes]
-"""A topic, and what is retained there."""
+"""A topic and the message that is retained on it."""
 
 
 class Names(Protocol):
     answer: str
-    """Where calls are answered."""
+    """Topic of the answers to calls."""
 
     def data(self, topic: str) -> str:
-        """The topic of its messages."""
+        """Return the MQTT topic on which messages of `topic` are published."""
         ...
 
     def received(self, what: str) -> str:
-        """Where commands of that topic, or calls, are received."""
+        """Return the MQTT topic on which `what` is received: a topic of commands, or CALL."""
         ...
 
     def births(self, description: Mapping[str, Any]) -> Iterator[Sent]:
-        """The messages that announce us, and our topics."""
+        """Yield the messages that announce the robot and its topics."""
         ...
 
     def death(self) -> Sent:
-        """The message that we are gone. It is set up at the beginning of each connection, and the
-        broker publishes it in our place."""
+        """Return the message that the robot is gone. The client registers it when a connection
+        begins, and the broker publishes it when the connection is lost."""
         ...
 
 
@@ -58,18 +58,18 @@ class Plain:
         self.answer = self.data("answer")
 
     def data(self, topic: str) -> str:
-        """As Names."""
+        """Implement `Names.data`."""
         return f"{self._prefix}/{topic}"
 
     received = data
 
     def births(self, description: Mapping[str, Any]) -> Iterator[Sent]:
-        """As Names."""
+        """Implement `Names.births`."""
         yield self.data("description"), self._encode(description)
         yield self.data("status"), ONLINE
 
     def death(self) -> Sent:
-        """As Names."""
+        """Implement `Names.death`."""
         return self.data("status"), OFFLINE
 
 
@@ -82,16 +82,16 @@ class Sparkplug:
         self.answer = f"{self._head}/NDATA/{robot}"
 
     def data(self, topic: str) -> str:
-        """As Names."""
+        """Implement `Names.data`."""
         return f"{self._head}/DDATA/{self._robot}/{topic}"
 
     def received(self, what: str) -> str:
-        """As Names."""
+        """Implement `Names.received`."""
         kind, device = ("NCMD", "") if what == CALL else ("DCMD", f"/{what}")
         return f"{self._head}/{kind}/{self._robot}{device}"
 
     def births(self, description: Mapping[str, Any]) -> Iterator[Sent]:
-        """As Names; `bdSeq` pairs them with their death certificate."""
+        """Implement `Names.births`; `bdSeq` pairs the birth with its death certificate."""
         session = {"timestamp": _now_ms(), "bdSeq": self._session_ms}
         yield f"{self._head}/NBIRTH/{self._robot}", self._encode({**session, **description})
         for topic, about in description["topics"].items():
@@ -99,13 +99,14 @@ class Sparkplug:
             yield f"{self._head}/DBIRTH/{self._robot}/{topic}", self._encode(birth)
 
     def death(self) -> Sent:
-        """As Names. Retained as the birth is: of the two that have one `bdSeq`, it is the later."""
+        """Implement `Names.death`. It is retained, as the birth is: of two with the same `bdSeq`,
+        the death is the later."""
         self._session_ms = max(_now_ms(), self._session_ms + 1)
         return f"{self._head}/NDEATH/{self._robot}", self._encode({"bdSeq": self._session_ms})
 
 
 def names_of(section: MqttBroker, robot: str, encode: Encode) -> Names:
-    """In the section's scheme."""
+    """Return the names in the topic scheme of the section."""
     if section.topic_scheme == "sparkplug":
         namespace, group = section.topic_prefix or SPARKPLUG, section.group or GROUP
         return Sparkplug(namespace, group, robot, encode)
@@ -113,5 +114,5 @@ def names_of(section: MqttBroker, robot: str, encode: Encode) -> Names:
 
 
 def _now_ms() -> int:
-    """Since 1970, as Sparkplug has it."""
+    """Return the time since 1970, as Sparkplug requires it."""
     return time.time_ns() // 1_000_000

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics on an MQTT broker. Retained messages show whether we are connected (the broker itself
-publishes that we are gone) and what topics there are: names.py."""
+"""Publishes topics on an MQTT broker. Retained messages (names.py) show which topics there are and
+whether the robot is connected; the broker itself publishes that the robot is gone."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 class MqttPublisher:
     def __init__(self, name: str, section: MqttPublish, runtime: Runtime) -> None:
-        """Raises as MqttConnection."""
+        """Raises the errors of `MqttConnection`."""
         self._connection = MqttConnection(f"publish.{name}", section, runtime)
         self._qos = section.qos
         self._feed = runtime.feed(name, section.rates_hz(), self._connection.form)
         self._description = _description(section, runtime)
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         await self._connection.keep(self._use, self._will)
 
     def _will(self) -> aiomqtt.Will:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prometheus: figures by HTTP."""
+"""Figures for Prometheus, by HTTP."""

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A view as Prometheus figures: base units, names of its conventions, one family after the other
-(prometheus.io/docs/practices/naming). What is not measured is NaN, which the format has."""
+"""Makes Prometheus figures from a view: base units and names by its conventions, one family after
+the other (prometheus.io/docs/practices/naming). What was not measured is NaN, which the format
+has."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ class Family:
 
     name: str
     kind: str
-    """"gauge" or "counter"."""
+    """Type of the figure: "gauge" or "counter"."""
     text: str
     values: tuple[tuple[Labels, float], ...]
 
@@ -37,7 +38,7 @@ class _Figures(Collector):
         self._view = view
 
     def collect(self) -> Iterator[Metric]:
-        """All figures; without a view only that the loop does not run."""
+        """Yield all figures; without a view only motord_up, which is 0."""
         for family in _families(self._body, self._view):
             metric = Metric(family.name.removesuffix("_total"), family.text, family.kind)
             for labels, value in family.values:
@@ -46,7 +47,7 @@ class _Figures(Collector):
 
 
 def exposition(body: Body, view: View | None) -> bytes:
-    """The text of an answer."""
+    """Return the figures as the text of an answer."""
     registry = CollectorRegistry(auto_describe=False)
     registry.register(_Figures(body, view))
     return generate_latest(registry)
@@ -65,7 +66,7 @@ def _families(body: Body, view: View | None) -> Iterator[Family]:
 
 
 STALE_S = 1.0
-"""A snapshot as old as this is not used: the loop does not run."""
+"""Age of a snapshot from which on the loop counts as not running."""
 
 
 def _up(view: View | None) -> float:

@@ -2,8 +2,8 @@
 """Figures for Prometheus: GET /metrics, in the text format 0.0.4
 (prometheus.io/docs/instrumenting/exposition_formats).
 
-Each answer is made of the newest state at the moment of asking. Nothing is ever written back to the
-robot.
+Each answer is made from the newest state at the time of the request. Nothing is ever written back
+to the robot.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class PrometheusServer:
         self._server = HttpServer(where, section.host, section.port, self._answer)
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         await self._server.run()
 
     async def _answer(self, request: web.BaseRequest) -> web.Response:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the kind of a publisher that lives in the daemon itself to the class that does it."""
+"""Finds the class for the kind of a publisher that runs in the daemon itself."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ class Publisher(Protocol):
     """Passes snapshots on. It may be slow: what it does not take in time is lost."""
 
     async def run(self, feed: SnapshotFeed) -> None:
-        """Runs until cancelled. It logs a failure outside motord once and goes on."""
+        """Run until cancelled. Log a failure outside motord once, and go on."""
         ...
 
 
 def open_publisher(name: str, kind: str, section: Publish) -> Publisher:
-    """The publisher for [publish.NAME]. Raises LookupError for a kind that no package offers."""
+    """Create the publisher for [publish.NAME]. Raises LookupError for a kind that no package
+    offers."""
     made = find(f"publish.{name}", kind, KINDS, PUBLISHER_POINTS)
     return cast("Publisher", made(name, section))

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a publisher is fed: snapshots at its own rate, newest wins, and never any waiting."""
+"""The feed of a publisher in the daemon: the newest snapshot, at the publisher's own rate. The
+daemon never waits for it."""
 
 from __future__ import annotations
 
@@ -23,16 +24,17 @@ class SnapshotFeed:
         self._filled = asyncio.Event()
         self.taken = 0
         self.dropped = 0
-        """Replaced by a newer one before the publisher took it."""
+        """Snapshots that were replaced by newer ones before the publisher took them."""
 
     def report(self) -> dict[str, Any]:
-        """For `status`: as motord.bus.feed.Feed has it; the state is the only topic."""
+        """Return the counts for `status`, in the form of `motord.bus.feed.Feed.report`; the state
+        is the only topic."""
         state = {"rate_hz": round(1e9 / self._period_ns, 3), "taken": self.taken}
         return {"taken": self.taken, "dropped": self.dropped, "topics": {"state": state}}
 
     def offer(self, snapshot: Snapshot, battery: Mapping[str, Any] | None = None) -> None:
-        """Kept when its time has come, by its own stamp; a late one is not caught up. `battery`: as
-        `status` has it; None: it is not measured."""
+        """Keep a snapshot whose time has come, by its own stamp. Missed times are not made up for.
+        `battery`: the battery of `status`; None: it is not measured."""
         if snapshot.stamp_ns < self._due_ns:
             return
         self._due_ns = max(self._due_ns + self._period_ns, snapshot.stamp_ns)
@@ -41,7 +43,7 @@ class SnapshotFeed:
         self._filled.set()
 
     async def __aiter__(self) -> AsyncIterator[bytes]:
-        """Each snapshot as one JSON object, without a line end."""
+        """Yield each snapshot as one JSON object, without a line end."""
         while True:
             await self._filled.wait()
             self._filled.clear()
@@ -59,7 +61,8 @@ def encode(
     now_ns: int,
     battery: Mapping[str, Any] | None = None,
 ) -> bytes:
-    """The snapshot, its robot, and its own moment as wall time: inside, there is none."""
+    """Return the snapshot as JSON, with its robot's name and its time as wall time, which it does
+    not contain itself."""
     stamp_s = (wall_ns - (now_ns - snapshot.stamp_ns)) / 1e9
     shown = {"robot": robot, "wall_time_s": stamp_s, **snapshot.to_json()}
     if battery is not None:

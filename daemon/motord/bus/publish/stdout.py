@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JSON lines on standard output.
+"""Publishes JSON lines on standard output.
 
-Its reader may stop reading: then the write blocks, perhaps for ever. So a thread of its own does
-the writing, and snapshots are lost while it is stuck. (Making the descriptor non-blocking would
-make the shell's and other programs' so too: it is shared.)
+The reader may stop reading: then a write blocks, perhaps for ever. So a thread of its own writes,
+and snapshots are lost while it is blocked. (The descriptor is shared: making it non-blocking would
+change it for the shell and other programs, too.)
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ class StdoutPublisher:
         self._lines: queue.Queue[bytes | None] = queue.Queue(maxsize=1)
         self._broken = threading.Event()
         self.dropped = 0
-        """Lost because the reader of standard output was slow."""
+        """Snapshots that were lost because the reader of standard output was slow."""
 
     async def run(self, feed: SnapshotFeed) -> None:
-        """As Publisher.run. Ends when it can never be read."""
+        """Implement `Publisher.run`. End when standard output is closed."""
         if (
             self._output is None
         ):  # closed by the parent process: its number may be another file's by now
             _log.warning("publish.%s: there is no standard output", self._name)
             return
         arguments = (self._output.fileno(),)
-        # a daemon thread: one that is stuck in its write does not keep the process
+        # a daemon thread: one that is blocked in its write does not keep the process alive
         threading.Thread(target=self._write, args=arguments, daemon=True).start()
         try:
             async for line in feed:
@@ -49,7 +49,7 @@ class StdoutPublisher:
             self._hand_over(None)
 
     def _hand_over(self, line: bytes | None) -> None:
-        """Newest wins."""
+        """Give a line to the thread, in place of one that still waits."""
         while True:
             try:
                 self._lines.put_nowait(line)

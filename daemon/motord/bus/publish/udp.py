@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One datagram of JSON for each snapshot. It does not check whether a program listens."""
+"""Publishes each snapshot as one datagram of JSON. It does not check whether a program listens."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ RESOLVE_WITHIN_S = 5.0
 RESOLVE_AGAIN_S = 5.0
 
 Address = tuple[str, int] | tuple[str, int, int, int] | tuple[int, bytes]
-"""Of IPv4, of IPv6, and of what getaddrinfo may give by its type."""
+"""Address of IPv4 or IPv6; the last form occurs only in the declared type of getaddrinfo."""
 
 _log = logging.getLogger(__name__)
 
@@ -27,17 +27,18 @@ class UdpPublisher:
         self._failing = False
         self.sent = 0
         self.dropped = 0
-        """What the network stack did not take."""
+        """Datagrams that the network stack did not take."""
 
     async def run(self, feed: SnapshotFeed) -> None:
-        """As Publisher.run."""
+        """Implement `Publisher.run`."""
         sender, address = await self._opened()
         with sender:
             async for datagram in feed:
                 self._send(sender, datagram, address)
 
     async def _opened(self) -> tuple[socket.socket, Address]:
-        """A socket for the host's address; tried again and again, logged once."""
+        """Return a socket and the host's address. Try again and again, and log only the first
+        failure."""
         loop = asyncio.get_running_loop()
         while True:
             try:
@@ -45,7 +46,7 @@ class UdpPublisher:
                     found = await loop.getaddrinfo(
                         self._host, self._port, type=socket.SOCK_DGRAM, proto=socket.IPPROTO_UDP
                     )
-            except (OSError, TimeoutError, ValueError) as error:  # the last: no name at all
+            except (OSError, TimeoutError, ValueError) as error:  # ValueError: not a valid name
                 self._say(f"{self._host} has no address: {str(error) or 'no answer'}")
             else:
                 family, _, _, _, address = found[0]

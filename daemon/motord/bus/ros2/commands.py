@@ -8,7 +8,7 @@ joint_commands                    sensor_msgs/JointState: velocities by the join
                                   joints without a base, positions too
 drive_distance, rotate, calibrate motord_msgs actions
 ~/stop, ~/estop                   std_srvs/Trigger; also topics (std_msgs/String: why), for
-                                  those whose middleware our services do not reach
+                                  nodes whose middleware our services do not reach
 """
 
 from __future__ import annotations
@@ -34,9 +34,10 @@ if TYPE_CHECKING:
     from motord.config import Ros2Input, ZenohInput
 
 NEWEST = Quality(depth=1, reliable=False)
-"""Receives from reliable writers and others; an old command is worth nothing."""
+"""Receives from reliable and best-effort writers; an old command is of no use and is not sent
+again."""
 URGENT_RELIABLE = Quality(alone=False)
-"""Beside NEWEST: a sample of a reliable writer that the network lost is sent again."""
+"""Used beside NEWEST: a reliable writer sends a sample again that the network lost."""
 
 _WHY_CHARS = 150
 
@@ -49,7 +50,7 @@ class Ros2Commands:
         runtime: Runtime,
         node: Node | None = None,
     ) -> None:
-        """`node`: one that is there already, instead of the section's. Raises DdsError."""
+        """`node`: an existing node to use instead of the section's own. Raises DdsError."""
         self._name = name
         self._gate = CommandGate(name, section, runtime)
         self._node = node or node_of(runtime, section)
@@ -81,7 +82,7 @@ class Ros2Commands:
         self._moves.serve(self._node)
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._gate.source.run())
             tasks.create_task(self._node.run())
@@ -94,7 +95,8 @@ class Ros2Commands:
                 tasks.create_task(self._twists.run())
 
     def _receiver(self, section: Ros2Input | ZenohInput) -> Twists | None:
-        """Takes cmd_vel without Python. None: it comes as all else does."""
+        """Return the receiver that takes cmd_vel without Python; None if cmd_vel passes through
+        Python, as all other topics do."""
         from motord.config import Ros2Input  # not needed where the node is made elsewhere
 
         if not isinstance(section, Ros2Input) or not section.stamped:
@@ -135,7 +137,7 @@ class Ros2Commands:
             )
 
     def _rivals(self) -> dict[str, Any]:
-        """By topic, where senders command against each other."""
+        """Return the senders that command against each other, by topic."""
         found = {topic: contest.report() for topic, contest in self._contests.items()}
         return {topic: rows for topic, rows in found.items() if rows}
 
@@ -164,7 +166,7 @@ def _asking(urgent: Urgent) -> Take:
 
 
 def _as_mapping(value: Any) -> Any:
-    """A decoded message as the command gate takes it."""
+    """Return a decoded message as the mappings that the command gate takes."""
     if isinstance(value, SimpleNamespace):
         return {key: _as_mapping(item) for key, item in vars(value).items()}
     return value

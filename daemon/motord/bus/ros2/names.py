@@ -1,26 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names as ROS 2 middleware writes them on DDS (design.ros2.org, "Topic and Service name mapping to
-DDS"; REP-2011 for the hash)."""
+DDS")."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 GRAPH_TOPIC = "ros_discovery_info"
-"""Without a prefix: rmw_dds_common."""
+"""DDS topic of the graph, which has no prefix (rmw_dds_common)."""
 _OF_HUMBLE = "_humble"
-"""Ends our name of a package whose types were others in Humble; on DDS they have the same name."""
+"""Suffix of motord's name for a package whose types differ in Humble; on DDS the names are the
+same."""
 
 
 def dds_type(name: str) -> str:
-    """nav_msgs/msg/Odometry: nav_msgs::msg::dds_::Odometry_"""
+    """Return the name of a type on DDS: nav_msgs::msg::dds_::Odometry_ for
+    nav_msgs/msg/Odometry."""
     package, group, short = name.split("/")
     package = package.removesuffix(_OF_HUMBLE)
     return f"{package}::{group}::dds_::{short}_"
 
 
 def full_name(namespace: str, node: str, name: str) -> str:
-    """A topic's or service's name with its namespace: `/x` stays, `~/x` is below the node."""
+    """Return a topic's or service's name with its namespace: `/x` stays, `~/x` is below the
+    node."""
     if name.startswith("/"):
         return name
     below = f"{namespace.rstrip('/')}/"
@@ -28,8 +31,8 @@ def full_name(namespace: str, node: str, name: str) -> str:
 
 
 def remapped(namespace: str, node: str, name: str, rules: Mapping[str, str]) -> str:
-    """The full name, or the one that a rule has for it; both sides of a rule are names as any
-    (design.ros2.org, "Remapping Names")."""
+    """Return the full name, or the full name that a rule replaces it by. Both sides of a rule may
+    be relative, absolute or private names (design.ros2.org, "Remapping Names")."""
     full = full_name(namespace, node, name)
     for old, new in rules.items():
         if full_name(namespace, node, old) == full:
@@ -38,15 +41,15 @@ def remapped(namespace: str, node: str, name: str, rules: Mapping[str, str]) -> 
 
 
 def topic(name: str) -> str:
-    """/odom: rt/odom"""
+    """Return the DDS topic of a topic: rt/odom for /odom."""
     return f"rt{name}"
 
 
 def request(name: str) -> str:
-    """/arm: rq/armRequest"""
+    """Return the DDS topic of a service's requests: rq/armRequest for /arm."""
     return f"rq{name}Request"
 
 
 def reply(name: str) -> str:
-    """/arm: rr/armReply"""
+    """Return the DDS topic of a service's replies: rr/armReply for /arm."""
     return f"rr{name}Reply"

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of the second process: sections of the robot file with the same settings share one.
-Publishers and inputs are the same on DDS and on Zenoh."""
+"""The ROS 2 nodes of the second process. Sections of the robot file with the same node settings
+share one node. Publishers and inputs are the same on DDS and on Zenoh."""
 
 from __future__ import annotations
 
@@ -19,42 +19,44 @@ class TopicPublisher(Protocol):
     """A topic that is published."""
 
     def publish(self, message: Any) -> None:
-        """Never waits; what is not taken is lost."""
+        """Send a message without waiting; a message that the middleware does not take is lost."""
         ...
 
 
 class Node(Protocol):
-    """Topics and services are made before `run`. Each may raise DdsError."""
+    """A ROS 2 node. Create its topics and services before `run`; that may raise DdsError."""
 
     remap: dict[str, str]
-    """Names that are others here: those of the sections that have come so far."""
+    """New names of topics and services by their old ones, from all sections that share the node so
+    far."""
 
     def full(self, name: str) -> str:
-        """A name with its namespace, as `remap` has it."""
+        """Return a name with its namespace, replaced by the rules in `remap`."""
         ...
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> TopicPublisher:
-        """Of a type of `table.TYPES`."""
+        """Create a publisher. `kind`: a type of `table.TYPES`."""
         ...
 
     def subscribe(self, name: str, kind: str, take: Take, quality: Quality | None = None) -> None:
-        """`take` is called in the event loop."""
+        """Subscribe to a topic. `take` is called in the event loop for each message."""
         ...
 
     def serve(
         self, name: str, kind: str, answer: Answer, depth: int = 10, together: int = 1
     ) -> None:
-        """A service, of pkg/srv/Name; so many answers at once."""
+        """Offer a service. `kind`: pkg/srv/Name. `together`: largest number of answers in progress
+        at once."""
         ...
 
     async def run(self) -> None:
-        """Until cancelled. Of several that share the node one does it for all, and the next one
-        when that one fails."""
+        """Run the node until cancelled. When several adapters share the node, one of them runs it
+        for all; if that one fails, the next one does."""
         ...
 
 
 class _OwnNode(Node, TypedNode, Protocol):
-    """A node without an installed ROS 2, which would describe its types itself."""
+    """A node that needs no installed ROS 2, and so describes its types itself."""
 
 
 _Key = tuple[type, str, str, int]
@@ -62,8 +64,8 @@ _nodes: WeakKeyDictionary[Runtime, dict[_Key, _OwnNode]] = WeakKeyDictionary()
 
 
 def node_of(runtime: Runtime, section: Ros2Node | ZenohNode) -> Node:
-    """Made when first asked for. Raises DdsError, ValueError for a router that cannot be, and
-    ImportError where the middleware's package is missing."""
+    """Return the node of a section; create it at the first call. Raises DdsError, ValueError if
+    Zenoh rejects the router's settings, and ImportError if the middleware's package is missing."""
     nodes = _nodes.setdefault(runtime, {})
     from motord.config import Ros2Node, ZenohNode  # not needed where the node is made elsewhere
 
@@ -79,7 +81,7 @@ def node_of(runtime: Runtime, section: Ros2Node | ZenohNode) -> Node:
 
 
 def _made(runtime: Runtime, section: Ros2Node | ZenohNode) -> _OwnNode:
-    """A robot loads only the middleware that it has."""
+    """Create the node. Only the middleware that the robot file names is imported."""
     names = (section.node_name, section.namespace, section.domain_id)
     from motord.config import Ros2Node
 

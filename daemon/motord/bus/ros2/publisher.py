@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics as a ROS 2 node has them, and the robot's description for programs that show it, with the
-frames in it that never move."""
+"""Publishes topics as a ROS 2 node, and the robot description with its fixed frames for programs
+that display the robot."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 URDF_BYTES_MAX = 1 << 20
 _ABSOLUTE = ("tf", STATIC)
-"""Where tf2 listens, whatever the namespace."""
+"""Topics to which tf2 subscribes without a namespace."""
 
 _LOOK_EVERY_S = 0.2
 
@@ -33,7 +33,7 @@ _log = logging.getLogger(__name__)
 
 
 def robot_topic(topic: str, section: RosTopics) -> str:
-    """Its ROS name. Diagnostics are of all robots together (REP-107)."""
+    """Return the ROS name of a topic. All robots publish diagnostics on one topic (REP-107)."""
     absolute = topic == "diagnostics" or (topic in _ABSOLUTE and not section.namespaced_tf)
     return f"/{topic}" if absolute else topic
 
@@ -63,7 +63,7 @@ class Ros2Publisher:
             )
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         async with asyncio.TaskGroup() as tasks:
             tasks.create_task(self._node.run())
             tasks.create_task(self._publish())

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an endpoint is made with: its quality of service, as ROS 2 names it, and what it calls."""
+"""Settings of an endpoint: its quality of service in the terms of ROS 2, and the functions it
+calls."""
 
 from __future__ import annotations
 
@@ -9,23 +10,24 @@ from types import SimpleNamespace
 from typing import Literal
 
 Distribution = Literal["humble", "jazzy"]
-"""Of ROS 2; Iron and later are as Jazzy."""
+"""Distribution of ROS 2; "jazzy" also stands for Iron and all later ones."""
 Take = Callable[[SimpleNamespace, float, str], None]
-"""Gets each message of a topic, how long in s it was in transit, and whose it is."""
+"""Function that takes each message of a topic, its time in transit in s, and its sender's name."""
 Answer = Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]
-"""Of a service. It does not raise."""
+"""Function that answers a request of a service. It does not raise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quality:
-    """Of an endpoint. Its history is always KEEP_LAST: newest wins."""
+    """Quality of service of an endpoint. Its history is always KEEP_LAST: new samples replace old
+    ones."""
 
     depth: int = 10
     reliable: bool = True
     latched: bool = False
-    """TRANSIENT_LOCAL: a later reader gets the newest, too."""
+    """TRANSIENT_LOCAL: a reader that joins later also gets the newest messages."""
     alone: bool = True
-    """False: another endpoint beside it serves those that this one does not match."""
+    """False: another endpoint of the node serves the peers that this one does not match."""
 
 
 _LATCHED = Quality(depth=1, latched=True)
@@ -38,5 +40,5 @@ _OFFERED = {
 
 
 def offered(topic: str) -> Quality:
-    """By the publisher of that topic of ours."""
+    """Return the quality of service that motord's publisher of a topic offers."""
     return _OFFERED.get(topic, Quality())

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Warnings and errors of motord-bus, and what led to the robot's faults, on /rosout: where ROS 2
-has the log of every node."""
+"""Publishes warnings and errors of motord-bus, and the causes of the robot's faults, on /rosout,
+the topic of all ROS 2 nodes' logs."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from motord.bus.ros2.nodes import TopicPublisher
 
 ROSOUT, LOG = "/rosout", "rcl_interfaces/msg/Log"
 _LEVELS = ((logging.CRITICAL, 50), (logging.ERROR, 40))
-"""Ours and those of rcl_interfaces/Log; all else is a warning."""
+"""Levels of Python's logging and of rcl_interfaces/Log; all lower levels count as warnings."""
 _WARN, _ERROR = 30, 40
 
 
 class Rosout:
     def __init__(self, node: str, publisher: TopicPublisher) -> None:
-        """`node`: full name, as it is known in ROS."""
+        """`node`: full name of the node in ROS."""
         self.log = LogListener(self._publish)
         self._name, self._publisher = node.strip("/").replace("/", "."), publisher
         self._why: tuple[str, ...] = ()
 
     def look(self, why: tuple[str, ...]) -> None:
-        """What has led to the faults that are latched: the daemon's own word, each once."""
+        """Publish each new cause of a latched fault once, in the daemon's words."""
         for text in why:
             if text not in self._why:
                 self._publish_text(time.time_ns(), _ERROR, text, "", "", 0)

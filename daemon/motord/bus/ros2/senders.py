@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The senders of commands on a topic, by name, and those that command against each other."""
+"""Names of the senders of commands on a topic, and detection of senders that command against each
+other."""
 
 from __future__ import annotations
 
@@ -13,18 +14,18 @@ from typing import Any
 
 SENDERS_MAX = 32
 REPORTED_S = 5.0
-"""After the last command against another one."""
+"""Time for which a conflict is reported after the last command against another sender."""
 _SMOOTH = 8.0
 _PARTICIPANTS_MAX, _NAME_CHARS_MAX = 512, 100
 
 _log = logging.getLogger(__name__)
 
 asker: ContextVar[str] = ContextVar("asker", default="")
-"""While a service answers: the name of the client."""
+"""Name of the client whose request a service answers now."""
 
 
 def unnamed(gid: bytes) -> str:
-    """A sender whose node the graph does not name."""
+    """Return a name for a sender whose node the graph does not contain."""
     return f"endpoint {gid.hex()}" if any(gid) else "an endpoint that has gone"
 
 
@@ -35,7 +36,7 @@ class Graph:
         self._members: OrderedDict[bytes, dict[bytes, str]] = OrderedDict()
 
     def learn(self, info: SimpleNamespace) -> None:
-        """A decoded ParticipantEntitiesInfo: all nodes of one participant."""
+        """Take all nodes of one participant from a decoded ParticipantEntitiesInfo."""
         participant = _gid(info.gid)
         self._members[participant] = {
             _gid(gid): _printable(f"{node.node_namespace.rstrip('/')}/{node.node_name}")
@@ -47,16 +48,18 @@ class Graph:
             self._members.popitem(last=False)
 
     def node(self, gid: bytes) -> str | None:
-        """Name of the node that has this endpoint."""
+        """Return the name of the node that has this endpoint; None if no such node is known."""
         return next((own[gid] for own in self._members.values() if gid in own), None)
 
     def name(self, gid: bytes) -> str:
-        """Of the node that has this endpoint; the endpoint itself where no node is known."""
+        """Return the name of the node that has this endpoint, or a name for the endpoint itself if
+        no such node is known."""
         return self.node(gid) or unnamed(gid)
 
 
 def _printable(name: str) -> str:
-    """Fit for one line of the log: its writer is a stranger."""
+    """Return a name fit for one line of the log: an unknown program may choose any text as its
+    name."""
     return "".join(one if one.isprintable() else "?" for one in name[:_NAME_CHARS_MAX])
 
 
@@ -70,12 +73,12 @@ class _Sender:
     last_s: float
     interval_s: float = 0.0
     against_s: float = -REPORTED_S
-    """When it last commanded against another."""
+    """Time of its last command against another sender."""
 
 
 class Contest:
-    """Of one topic. Two senders command against each other when one sends again although another
-    has meanwhile asked for something else that is still in force."""
+    """Detects senders of one topic that command against each other: one sends again although
+    another has meanwhile sent a different command that is still in force."""
 
     def __init__(self, where: str, alive_s: float) -> None:
         """`alive_s`: how long a command is in force."""
@@ -84,7 +87,7 @@ class Contest:
         self._reported: set[frozenset[str]] = set()
 
     def received(self, name: str, command: tuple[float, ...], now_s: float | None = None) -> None:
-        """A command that was taken."""
+        """Note a command that was taken."""
         now_s = time.monotonic() if now_s is None else now_s
         me = self._senders.get(name)
         if me is None or now_s - me.last_s > self._alive_s:
@@ -107,7 +110,7 @@ class Contest:
         me.command, me.last_s = command, now_s
 
     def report(self, now_s: float | None = None) -> list[dict[str, Any]]:
-        """Those that command against each other, by name, with their rates."""
+        """Return the senders that command against each other, with their rates in Hz."""
         now_s = time.monotonic() if now_s is None else now_s
         return [
             {"from": name, "rate_hz": round(1.0 / one.interval_s, 1) if one.interval_s else 0.0}
@@ -116,7 +119,7 @@ class Contest:
         ]
 
     def _say(self, names: frozenset[str], now_s: float) -> None:
-        """Each pair is logged once."""
+        """Log each pair of senders once."""
         both = [row for row in self.report(now_s) if row["from"] in names]
         if names in self._reported or not all(row["rate_hz"] for row in both):
             return

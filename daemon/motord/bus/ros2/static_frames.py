@@ -9,13 +9,13 @@ from types import SimpleNamespace
 from xml.etree.ElementTree import Element, ParseError, fromstring
 
 STATIC = "tf_static"
-"""Its topic."""
+"""Topic of the frames that never move."""
 
 
 def static_transforms(description: str, stamp_ns: int, prefix: str = "") -> SimpleNamespace:
-    """tf2_msgs/TFMessage of the description's fixed joints; those that turn are for readers of
-    joint_states. `stamp_ns`: wall time; `prefix` goes before each frame name. Raises ValueError for
-    what is no URDF."""
+    """Return the tf2_msgs/TFMessage of the description's fixed joints; readers of joint_states
+    compute the joints that turn. `stamp_ns`: wall time; `prefix` goes before each frame name.
+    Raises ValueError if the description is not valid URDF."""
     try:
         root = fromstring(description)
     except ParseError as error:
@@ -50,7 +50,8 @@ def _link(joint: Element, end: str) -> str:
 
 
 def _three(joint: Element, origin: Element | None, key: str) -> tuple[float, float, float]:
-    """Zero where it is not given: wiki.ros.org/urdf/XML/joint."""
+    """Return the three numbers of an attribute; zeros if it is missing
+    (wiki.ros.org/urdf/XML/joint)."""
     words = "" if origin is None else origin.get(key, "")
     try:
         numbers = [float(word) for word in (words or "0 0 0").split()]
@@ -62,7 +63,8 @@ def _three(joint: Element, origin: Element | None, key: str) -> tuple[float, flo
 
 
 def _quaternion(roll_rad: float, pitch_rad: float, yaw_rad: float) -> SimpleNamespace:
-    """Turns about the fixed x, then y, then z axis (wiki.ros.org/urdf/XML/joint: rpy)."""
+    """Return the quaternion of turns about the fixed x, then y, then z axis
+    (wiki.ros.org/urdf/XML/joint: rpy)."""
     (sx, cx), (sy, cy), (sz, cz) = (
         (math.sin(angle_rad / 2.0), math.cos(angle_rad / 2.0))
         for angle_rad in (roll_rad, pitch_rad, yaw_rad)

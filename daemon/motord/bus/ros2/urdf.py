@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot description (URDF) from the robot file: where the wheels are and how they turn is true;
-how wide a wheel is and what the base looks like is only for the eye. base_link is on the ground, in
-the middle between the wheels, as the odometry has it."""
+"""Makes a robot description (URDF) from the robot file. The track, and radii and axes of wheels,
+are exact; the width of a wheel, the distance between wheels of one side of a base that cannot
+strafe, and the shape of the base are for display only. base_link is on the ground, in the middle
+between the wheels, as in the odometry."""
 
 from __future__ import annotations
 
@@ -14,20 +15,22 @@ from motord.config import Joint, Robot
 from motord.config.sections.bases import wheel_place
 
 DESCRIPTION, STRING = "robot_description", "std_msgs/msg/String"
-"""Its topic, and the type of that."""
+"""Topic of the robot description, and the type of that topic."""
 WHEEL_WIDTH = 0.4
-"""By its radius."""
+"""Width of a wheel, as a multiple of its radius."""
 SPACING = 2.2
-"""Between wheels of one side, by the radius: the robot file does not give it."""
+"""Distance between wheels of one side, as a multiple of the radius: the robot file does not contain
+it."""
 
 
 def description(robot: Robot) -> bytes:
-    """The message of its topic, in CDR."""
+    """Return the message of the topic `robot_description`, in CDR."""
     return bytes(encode(STRING, SimpleNamespace(data=urdf(robot))))
 
 
 def urdf(robot: Robot) -> str:
-    """One link and one continuous joint for each wheel, named as in joint_states."""
+    """Return the URDF: one link and one continuous joint for each wheel, named as in
+    joint_states."""
     root = Element("robot", name=robot.robot.name)
     radius_m, track_m = robot.base.wheel_radius_m, robot.base.track_m
     base = SubElement(root, "link", name="base_link")
@@ -48,8 +51,8 @@ def urdf(robot: Robot) -> str:
 
 
 def _footprint(root: Element) -> None:
-    """Where the base stands on the floor, by the name that navigation looks for (REP-120). It is
-    below base_link, for the odometry is above that already."""
+    """Add base_footprint, the frame on the floor that navigation expects (REP-120). It is a child
+    of base_link, because the odometry frame is the parent of base_link already."""
     SubElement(root, "link", name="base_footprint")
     joint = SubElement(root, "joint", name="footprint", type="fixed")
     SubElement(joint, "parent", link="base_link")

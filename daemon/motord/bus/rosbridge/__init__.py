@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""rosbridge: JSON over WebSocket."""
+"""A server for rosbridge: JSON over WebSocket."""

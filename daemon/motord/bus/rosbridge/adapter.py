@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 CLIENTS_MAX = 32
 MESSAGE_BYTES_MAX = 65536
 PING_EVERY_S = 10.0
-"""A client that does not answer within half of that is gone."""
+"""Time between two pings. A client that does not answer within half of it counts as gone."""
 CLOSE_WITHIN_S = 5.0
 
 
@@ -43,7 +43,7 @@ class RosbridgeAdapter:
         self._server = HttpServer(self._where, section.host, section.port, self._answer, tls)
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         async with asyncio.TaskGroup() as tasks:
             if self._gate is not None:
                 tasks.create_task(self._gate.source.run())
@@ -71,7 +71,7 @@ class RosbridgeAdapter:
     def _refusal(
         self, request: web.BaseRequest, connection: web.WebSocketResponse
     ) -> web.Response | None:
-        """None: it may connect."""
+        """Return the refusal of a request; None: the client may connect."""
         if len(self._clients) >= CLIENTS_MAX:
             return web.Response(status=HTTPStatus.SERVICE_UNAVAILABLE, text="too many clients\n")
         if self._gate is not None:
@@ -84,7 +84,7 @@ class RosbridgeAdapter:
         return None
 
     async def _send(self) -> None:
-        """Each message is written once, for all clients."""
+        """Send the feed's messages; each is encoded once for all clients."""
         async for topic, message in self._feed:
             wanting = [client for client in self._clients if client.wants(topic.name)]
             if wanting:
@@ -97,7 +97,8 @@ def _published(topic: str, message: bytes) -> str:
 
 
 def _token(request: web.BaseRequest) -> str | None:
-    """Of the address (?token=...) or of the header "Authorization: Bearer ..."."""
+    """Return the token in the address (?token=...) or in the header "Authorization: Bearer ...";
+    None: no token."""
     kind, _, shown = request.headers.get("Authorization", "").partition(" ")
     if kind.lower() == "bearer":
         return shown.strip()

@@ -18,13 +18,14 @@ from motord.bus.messages import json_form
 from motord.bus.messages.topics import TOPICS
 
 CALLS_MAX, ANSWERS_MAX = 16, 64
-"""Calls in progress, and answers that the client has not read yet. What is urgent is always
-done."""
+"""Largest number of calls in progress, and of answers that the client has not read yet. A stop and
+an emergency stop are always carried out."""
 THROTTLE_MAX_MS = 3_600_000
 
 
 class RosbridgeClient:
-    """`offer` never waits: of each topic only the newest message is kept for a slow client."""
+    """A client of the server. `offer` never waits: for a slow client only the newest message of
+    each topic is kept."""
 
     def __init__(
         self,
@@ -36,7 +37,7 @@ class RosbridgeClient:
         self._gate = gate
         self._rates_hz = rates_hz
         self._every_s: dict[str, float] = {}
-        """By topic that is subscribed to: the shortest time between two messages."""
+        """Shortest time between two messages, by topic that the client has subscribed to."""
         self._sent_s: dict[str, float] = {}
         self._newest: dict[str, str] = {}
         self._arrived = asyncio.Event()
@@ -44,14 +45,15 @@ class RosbridgeClient:
 
     # ------------------------------------------------------------------------------------- sending
     def wants(self, topic: str) -> bool:
-        """Subscribed to, and not sent too short a time ago."""
+        """Return whether the client has subscribed to a topic, and the shortest time since its last
+        message is over."""
         every_s = self._every_s.get(topic)
         if every_s is None:
             return False
         return time.monotonic() - self._sent_s.get(topic, -math.inf) >= every_s
 
     def offer(self, topic: str, text: str) -> bool:
-        """Returns whether an older one was lost for it."""
+        """Keep a message for sending; return whether an older one was lost for it."""
         lost = topic in self._newest
         self._sent_s[topic] = time.monotonic()
         self._newest[topic] = text
@@ -59,7 +61,7 @@ class RosbridgeClient:
         return lost
 
     async def run(self) -> None:
-        """Until it goes away: perhaps OSError, in a group."""
+        """Serve the client until it is gone. Raises OSError in a group if its connection fails."""
         async with asyncio.TaskGroup() as tasks:
             sending = tasks.create_task(self._send_newest())
             async for message in self._connection:
@@ -151,7 +153,7 @@ class RosbridgeClient:
         await self._send(head | answer)
 
     async def _served(self, service: str) -> dict[str, Any]:
-        """Raises NotTaken."""
+        """Carry out a call of a service, and return its values. Raises NotTaken."""
         if service == "rosapi/topics":
             return {
                 "topics": [f"/{name}" for name in self._rates_hz],
@@ -182,5 +184,5 @@ class RosbridgeClient:
 
 
 def _name(value: object) -> str:
-    """A topic or service without its slash; nothing for what is no name."""
+    """Return a topic or service without its slash; empty for a value that is no name."""
     return value.removeprefix("/") if isinstance(value, str) else ""

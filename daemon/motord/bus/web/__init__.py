@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The dashboard: a page for browsers, its stream of states, and what it may command."""
+"""The dashboard: a page for browsers, its stream of states, and its commands."""

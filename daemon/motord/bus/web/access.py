@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which page may connect, and which may command: by its token, its origin and the name by which it
-reached us.
+"""Decides which page may connect, and which may command: by its token, its origin and the name by
+which it reached us.
 
-A browser lets every site open a WebSocket to this machine and names that site in the header Origin;
-a site can also make its own name mean 127.0.0.1 and is then of our origin. So without a token only
-names of this machine are accepted, and nothing that a proxy forwards.
+A browser permits every site to open a WebSocket to this machine, and names that site in the header
+Origin. A site can also make its own name mean 127.0.0.1, and then has our origin. So without a
+token only names of this machine are accepted, and nothing that a proxy forwards.
 """
 
 from __future__ import annotations
@@ -28,24 +28,24 @@ _FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Forwarded-Host", "X-Real-IP", "
 
 
 class Stranger(Exception):
-    """A request from another site; the text says why it is refused."""
+    """A request from another site; the text is the reason of its refusal."""
 
 
 @dataclass(frozen=True, slots=True)
 class Right:
-    """What a page may do."""
+    """Rights of a page."""
 
     watch: bool
     command: bool
     why: str = ""
-    """Why it may not watch."""
+    """Why the page may not watch; empty if it may."""
     token: bool = False
-    """It has shown the token."""
+    """Whether the page has shown the token."""
 
 
 class Access:
     def __init__(self, section: WebServer, fits: Callable[[object], bool] | None) -> None:
-        """`fits`: whether a token is the right one; None: the robot file names none."""
+        """`fits` returns whether a token is the right one; None: the robot file names no token."""
         self._fits = fits
         self._commands = isinstance(section, WebInput)
         self._trusts = isinstance(section, WebInput) and section.trust_loopback
@@ -53,7 +53,8 @@ class Access:
         self._fleet = {_plain(address) for address in section.fleet}
 
     def check_origin(self, request: web.BaseRequest) -> None:
-        """Raises Stranger for a page that is neither ours nor of the fleet."""
+        """Check the origin of a request. Raises Stranger for a page that is neither ours nor of the
+        fleet."""
         origin = request.headers.get("Origin")
         if origin is None:
             return
@@ -62,7 +63,7 @@ class Access:
             raise Stranger("pages of other sites may not connect: see `fleet` in the robot file")
 
     def right(self, request: web.BaseRequest) -> Right:
-        """Of a request whose origin was checked."""
+        """Return the rights of a request whose origin was checked."""
         shown = token_of(request)
         if shown is not None and self._fits is not None:
             if self._fits(shown):
@@ -74,7 +75,8 @@ class Access:
 
 
 def token_of(request: web.BaseRequest) -> str | None:
-    """Of the subprotocol, or of the header "Authorization: Bearer ..."."""
+    """Return the token in the subprotocol, or in the header "Authorization: Bearer ..."; None: no
+    token."""
     kind, _, shown = request.headers.get("Authorization", "").partition(" ")
     if kind.lower() == "bearer":
         return shown.strip()
@@ -86,7 +88,7 @@ def token_of(request: web.BaseRequest) -> str | None:
 
 
 def _decoded(text: str) -> str:
-    """Empty, which is no token, for what is not base64url."""
+    """Decode a token; empty, which is no valid token, for text that is not base64url."""
     try:
         return base64.urlsafe_b64decode(text + "=" * (-len(text) % 4)).decode()
     except (binascii.Error, ValueError):
@@ -94,12 +96,12 @@ def _decoded(text: str) -> str:
 
 
 def _from_here(request: web.BaseRequest) -> bool:
-    """It was sent to a name of this machine, and not forwarded by a proxy."""
+    """Return whether a request was sent to a name of this machine, and not forwarded by a proxy."""
     host = request.headers.get("Host", "").lower()
     name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
     return name in _LOCAL_NAMES and not any(key in request.headers for key in _FORWARDED)
 
 
 def _plain(address: str) -> str:
-    """An origin as browsers send it."""
+    """Return an origin as browsers send it: without the default port."""
     return address.lower().removesuffix(":80" if address.startswith("http:") else ":443")

@@ -45,28 +45,29 @@ SOCKET = "/socket"
 VIEWERS_MAX = 64
 MESSAGE_BYTES_MAX = 65536
 PING_EVERY_S = 5.0
-"""A page that does not answer within half of that is gone."""
+"""Time between two pings. A page that does not answer within half of it counts as gone."""
 CLOSE_WITHIN_S = 2.0
 NO_VIEWER_S = 1.0
 LOG_EVERY_S = 1.0
 LOOKED_AT_S = 0.5
-"""The daemon is asked for the same once in that time, however many pages show it."""
+"""Time in which the same call goes to the daemon only once, however many pages show its answer."""
 REFUSED = 4401
 """Close code: the page may not watch."""
 LOOKS = ("status", "latency", "params.list")
 CHANGES = ("params.get", "params.set")
 SAVES = ("params.diff", "params.save")
-"""Beside the calls of every bus. Reading a register costs a turn on the line."""
+"""Calls beside those of every bus, with LOOKS and CHANGES. None of them reads a register, which
+would cost a turn on the line."""
 COMMISSION = ("commission.start", "commission.answer", "commission.stop", "commission.take")
 NEEDS_TOKEN = "only a page that has shown the token may write the robot file"  # noqa: S105
 AT_ANY_TIME = (
     *(*URGENT, "disarm", "params.get"), *tape.CHANGES, *COMMISSION, *robot_file.LOOKS,
 )  # fmt: skip
-"""Calls that a running procedure does not exclude."""
+"""Calls that are accepted while a procedure runs."""
 
 
 class WebAdapter:
-    """It is fed as a motord.bus.feed.Sink."""
+    """The adapter of the dashboard. It takes views as a motord.bus.feed.Sink."""
 
     def __init__(self, name: str, section: WebServer, runtime: Runtime) -> None:
         """Raises OSError and ValueError for files that cannot be used."""
@@ -100,7 +101,7 @@ class WebAdapter:
         self._server = HttpServer(where, section.host, section.port, self._answer, tls)
 
     async def run(self) -> None:
-        """As Adapter.run."""
+        """Implement `Adapter.run`."""
         with self._events.log.listening():
             async with asyncio.TaskGroup() as tasks:
                 if self._gate is not None:
@@ -122,11 +123,11 @@ class WebAdapter:
     # ------------------------------------------------------------------------------------- states
     @property
     def period_s(self) -> float:
-        """Of the fastest page."""
+        """Period of the fastest page; NO_VIEWER_S without a page."""
         return 1.0 / max((one.rate_hz for one in self._viewers), default=1.0 / NO_VIEWER_S)
 
     def offer(self, view: View) -> None:
-        """A frame is made once for all pages whose time has come."""
+        """Note the events of a view, and make one frame for all pages whose time has come."""
         self._events.look(view)
         if not self._viewers:
             return
@@ -158,8 +159,8 @@ class WebAdapter:
             self._publish({"event": event})
 
     def _publish_commissioning(self) -> None:
-        """To every page at once that it runs or does not; the rest to those that may command: it
-        may contain parts of the robot file."""
+        """Show pages the procedure. Every page gets at once whether one runs; only those that may
+        command get the rest, because it may contain parts of the robot file."""
         running = self._commissioning.running
         if self._seat is not None:
             self._seat.reserved_for = running
@@ -206,7 +207,8 @@ class WebAdapter:
         return connection
 
     async def _turn_away(self, connection: web.WebSocketResponse, why: str) -> None:
-        """A page learns the reason only by a message: a refused request shows it none."""
+        """Refuse a page. It gets the reason by a message, because a page cannot read that of a
+        refused request."""
         if self._gate is not None:
             self._gate.refuse(why)
         await connection.send_json({"refused": why})
@@ -258,7 +260,7 @@ class WebAdapter:
 
     # -------------------------------------------------------------------------------------- calls
     async def _call(self, viewer: Viewer, method: str, params: Mapping[str, Any]) -> Any:
-        """Raises NotTaken and ClientError."""
+        """Answer a call of a page. Raises NotTaken and ClientError."""
         match method:
             case "trace":
                 return self._trace(viewer, params.get("line"))
@@ -294,7 +296,7 @@ class WebAdapter:
         return await self._gate.ask(method, **params)
 
     def _trace(self, viewer: Viewer, line: object) -> dict[str, object]:
-        """Show that page a line's exchanges; None: no more. Raises NotTaken."""
+        """Show a page the exchanges of a line; None: stop showing them. Raises NotTaken."""
         if line is None:
             self._traces.leave(viewer)
         elif isinstance(line, str) and line in self._runtime.robot.line:
@@ -304,7 +306,7 @@ class WebAdapter:
         return {"line": line}
 
     def _commission(self, viewer: Viewer, method: str, params: Mapping[str, Any]) -> None:
-        """Raises NotTaken."""
+        """Carry out one of COMMISSION. Raises NotTaken."""
         match method:
             case "commission.start":
                 if self._seat is not None and self._seat.driver is not None:
@@ -326,7 +328,7 @@ class WebAdapter:
                 self._commissioning.take(viewer)
 
     async def _save(self, viewer: Viewer, *, dry_run: bool) -> Any:
-        """Raises NotTaken."""
+        """Save the limits, or with `dry_run` return what would be saved. Raises NotTaken."""
         if self._saving.locked():
             raise NotTaken("the robot file is being written by another page: try again")
         async with self._saving:
@@ -336,7 +338,7 @@ class WebAdapter:
         return saved
 
     async def _edit(self, viewer: Viewer, method: str, params: Mapping[str, Any]) -> Any:
-        """Raises NotTaken and ClientError."""
+        """Answer a call of the robot file's editor. Raises NotTaken and ClientError."""
         if method == robot_file.SAVE and not viewer.may_write:
             raise NotTaken(NEEDS_TOKEN)
         found = await self._editor.serve(method, params)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of the page, and the schema of the robot file: read once, compressed once, and asked
-for again by their hash.
+"""The files of the page, and the schema of the robot file. They are read once and compressed once,
+and browsers compare their hashes.
 
-What the first paint needs is in the page itself: one request, which the policy permits by hash.
+The style and script that the first paint needs are in the page itself, where the policy permits
+them by hash: it takes one request.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ _INLINE = {
     "style.css": ('<link rel="stylesheet" href="style.css" />', "style"),
     "theme.js": ('<script src="theme.js"></script>', "script"),
 }
-"""Files that are part of the page: what stands for them in it, and the element that holds them."""
+"""Files that become part of the page: the text that each replaces, and the element that holds
+it."""
 _TYPES = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -55,7 +57,7 @@ class Asset:
 
 @functools.cache
 def assets() -> Mapping[str, Asset]:
-    """By path; "/" is the page itself."""
+    """Return the files by path; "/" is the page itself."""
     found = {}
     for path in sorted(FOLDER.rglob("*")):
         if path.suffix in _TYPES and path.name not in _INLINE:
@@ -74,7 +76,7 @@ def _asset(raw: bytes, suffix: str) -> Asset:
 
 
 def _with_inline(path: Path) -> bytes:
-    """The page with the files that are part of it."""
+    """Return the page with the files that are part of it."""
     page = path.read_text(encoding="utf-8")
     for name, (place, element) in _INLINE.items():
         text = (FOLDER / name).read_text(encoding="utf-8")
@@ -85,14 +87,14 @@ def _with_inline(path: Path) -> bytes:
 
 @functools.cache
 def _hash_of(name: str) -> str:
-    """As the policy permits an element with that content."""
+    """Return the hash by which the policy permits an element with that file's content."""
     digest = hashlib.sha256((FOLDER / name).read_bytes()).digest()
     return f"'sha256-{base64.b64encode(digest).decode()}'"
 
 
 def policy(fleet: Iterable[str]) -> str:
-    """The page loads nothing but files of its own and connects to no other machine than those of
-    the fleet (Content Security Policy Level 3, www.w3.org/TR/CSP3)."""
+    """Return the policy: the page loads only files of its own and connects to no other machine than
+    those of the fleet (Content Security Policy Level 3, www.w3.org/TR/CSP3)."""
     others = [f"{address} ws{address.removeprefix('http')}" for address in fleet]
     connect = " ".join(("'self'", *others))
     return (
@@ -103,7 +105,7 @@ def policy(fleet: Iterable[str]) -> str:
 
 
 def answer(request: web.BaseRequest, fleet: Iterable[str]) -> web.Response:
-    """To a request for a file."""
+    """Return the answer to a request for a file."""
     asset = assets().get(request.path)
     if asset is None:
         return web.Response(status=HTTPStatus.NOT_FOUND, text="no such file\n")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a page has to know of the robot once: names, limits, and where its wheels are."""
+"""The description of the robot for a page: names, limits, and where its wheels are."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from motord.config.sections.bases import JointsBase, SteeredBase, wheel_modules
 
 
 def description(robot: Robot) -> dict[str, Any]:
-    """Ready for JSON."""
+    """Return the description, ready for JSON."""
     return {
         "robot": robot.robot.name,
         "kind": robot.base.kind,
@@ -33,9 +33,9 @@ def description(robot: Robot) -> dict[str, Any]:
 
 
 def _wheels(robot: Robot) -> Iterator[dict[str, Any]]:
-    """In base_link. A steered base: its wheels straight ahead, each by the joint that drives it or
-    else the one that steers it, which `steered_by` names too. Others: by the robot description,
-    the joints that turn without end.
+    """Yield the wheels, in the frame base_link. Wheels of a steered base point straight ahead; each
+    has the name of the joint that drives it, or else of the one that steers it, which `steered_by`
+    names too. Wheels of other bases are the continuous joints of the robot description.
     """
     for module in wheel_modules(robot.base, robot.joint):
         name = (module.traction or module.steering)[0]
@@ -59,15 +59,15 @@ def _wheels(robot: Robot) -> Iterator[dict[str, Any]]:
 
 
 def _roller_rad(robot: Robot, x_m: float, y_m: float) -> float | None:
-    """Direction of the upper rollers' axes, seen from above. None: the wheel has none that matter
-    to a drawing."""
+    """Return the direction of the upper rollers' axes, seen from above; None: the wheel has no
+    rollers that matter to a drawing."""
     if robot.base.kind != "mecanum":
         return None
-    outward = 1.0 if x_m * y_m > 0.0 else -1.0  # in an X they point to the middle
+    outward = 1.0 if x_m * y_m > 0.0 else -1.0  # in an X the axes point to the middle
     return math.radians(45.0) * outward * (1.0 if robot.base.rollers == "x" else -1.0)
 
 
 def _numbers(text: str | None) -> tuple[float, float, float]:
-    """Three; zeros where the description leaves them out."""
+    """Return three numbers; zeros if the description leaves them out."""
     first, second, third = map(float, (text or "0 0 0").split())
     return first, second, third

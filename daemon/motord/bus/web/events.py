@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened to the robot, in sentences: from the log of the daemon, from its status, and from
-the log of this process."""
+"""Events of the robot as sentences: from the daemon's log, from its status, and from the log of
+this process."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LEVELS = ((logging.ERROR, "error"), (logging.WARNING, "warning"))
 
 
 class Events:
-    """Keeps the newest ones for pages that connect later."""
+    """Collects events, and keeps the newest ones for pages that connect later."""
 
     def __init__(self, publish: Callable[[Event], None]) -> None:
         self._publish = publish
@@ -27,7 +27,7 @@ class Events:
         self.kept: deque[Event] = deque(maxlen=KEPT_MAX)
         self._number = 0
         self.log_number = 0
-        """Of the newest line of the daemon's log that was noted."""
+        """Number of the newest line of the daemon's log that was noted."""
         self._owner: str | None = None
         self._lines: Mapping[str, Any] = {}
         self._status_ns = 0
@@ -35,7 +35,7 @@ class Events:
     def note(
         self, source: str, text: str, level: str = "info", wall_time_s: float | None = None
     ) -> None:
-        """Add one. `level`: info, warning or error. `wall_time_s`: now unless it is given."""
+        """Add an event. `level`: info, warning or error. `wall_time_s`: now unless it is given."""
         self._number += 1
         event = {
             "number": self._number,
@@ -48,13 +48,13 @@ class Events:
         self._publish(event)
 
     def look(self, view: View) -> None:
-        """Note what has changed."""
+        """Note what has changed in the daemon's status."""
         if view.status is not None and view.status_ns != self._status_ns:
             self._status_ns = view.status_ns
             self._look_at_status(view)
 
     def note_log(self, answer: Mapping[str, Any]) -> None:
-        """New lines of the daemon's log: the answer of its method `log` after `log_number`."""
+        """Note new lines of the daemon's log: the answer of its method `log` after `log_number`."""
         if answer["newest"] < self.log_number:  # another daemon
             self.log_number = 0
             return

@@ -14,10 +14,10 @@ from motord.api.snapshot import STATES, JointSnapshot, Snapshot
 from motord.api.words import FAULTS, REASONS
 
 STATE, DRIVE, ACKNOWLEDGE, RELEASE, PRESENT = 1, 1, 2, 3, 4
-"""First byte: of frames to the page, and of those from it."""
+"""First byte of a frame. STATE: to the page; all others: from the page."""
 VERSION = 1
 FLAGS = ("armed", "enabled", "at_rest", "odometry_degraded")
-"""By bit."""
+"""Names of the bits of `flags`, lowest first."""
 
 Fields = tuple[tuple[str, str], ...]
 _HEAD: Fields = (
@@ -37,7 +37,7 @@ _JOINT = tuple(
     for key in dataclasses.fields(JointSnapshot)
 )
 _UNKNOWN = 2
-"""`enabled` of a drive that cannot report it."""
+"""Value of `enabled` for a drive that cannot report it."""
 _F32_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 _BITS = {word: 1 << bit for bit, word in REASONS.items()}
 _FAULT_BITS = {word: 1 << bit for bit, word in FAULTS.items()}
@@ -47,9 +47,9 @@ _PRESENT = struct.Struct("<Bdd")
 
 
 def layout() -> dict[str, Any]:
-    """What a page has to know to read STATE frames: names and types of the fields in their order (B
-    and I: unsigned, of 1 and 4 bytes; f and d: floats of 4 and 8), those of each joint after them,
-    and the words of numbers and bits."""
+    """Return what a page has to know to read STATE frames: names and types of the fields in their
+    order (B and I: unsigned, of 1 and 4 bytes; f and d: floats of 4 and 8), those of each joint
+    after them, and the words of numbers and bits."""
     return {
         "version": VERSION,
         "state": [*_HEAD, *_MEASURES],
@@ -62,7 +62,7 @@ def layout() -> dict[str, Any]:
 
 
 class Packer:
-    """Makes STATE frames of robots with so many joints."""
+    """Makes STATE frames for a robot with a number of joints."""
 
     def __init__(self, joints: int) -> None:
         codes = [code for _, code in (*_HEAD, *_MEASURES, *_JOINT * joints)]
@@ -70,7 +70,7 @@ class Packer:
         self._joints = joints
 
     def pack(self, now: Snapshot, sequence: int) -> bytes | None:
-        """None: the daemon runs another robot file of this name."""
+        """Return a STATE frame; None: the daemon runs another robot file of this name."""
         if len(now.joints) != self._joints:
             return None
         flags = sum(1 << bit for bit, name in enumerate(FLAGS) if getattr(now, name))
@@ -93,7 +93,8 @@ def _values(record: Snapshot | JointSnapshot, fields: Fields) -> Iterator[float]
 
 
 def _f32(value: float) -> float:
-    """What 4 bytes do not hold is infinite: a client may request any number."""
+    """Return a value for 4 bytes; one that does not fit becomes infinite. A client may request any
+    number."""
     return math.copysign(math.inf, value) if abs(value) > _F32_MAX else value
 
 
@@ -101,9 +102,9 @@ class DriveFrame(NamedTuple):
     """One command of a page."""
 
     press: int
-    """Number of this hold of the pad: a new one each time."""
+    """Number of this hold of the pad; each hold has a new one."""
     sent_ms: float
-    """When, by the page's clock, which has any beginning."""
+    """Time of sending by the page's clock, which may begin at any time."""
     seen_s: float
     """`stamp_s` of the newest state that the page has shown."""
     linear_m_s: float
@@ -112,8 +113,8 @@ class DriveFrame(NamedTuple):
 
 
 def drive_frame(raw: bytes) -> DriveFrame:
-    """Raises ValueError for what is no such frame. Its velocities may be NaN and infinity: the loop
-    takes them for zero, and the command gate names their sender."""
+    """Decode a DRIVE frame. Raises ValueError for data that is no such frame. Velocities may be NaN
+    and infinity: the loop takes them for zero, and the command gate names their sender."""
     if len(raw) != _DRIVE.size:
         raise ValueError(f"a command has {_DRIVE.size} bytes")
     _, *fields = _DRIVE.unpack(raw)
@@ -124,16 +125,16 @@ def drive_frame(raw: bytes) -> DriveFrame:
 
 
 def number_of(raw: bytes) -> int:
-    """The number that an ACKNOWLEDGE or a RELEASE carries. Raises ValueError for what is no such
-    frame."""
+    """Return the number in an ACKNOWLEDGE or a RELEASE frame. Raises ValueError for data that is no
+    such frame."""
     if len(raw) != _NUMBERED.size:
         raise ValueError(f"such a frame has {_NUMBERED.size} bytes")
     return int(_NUMBERED.unpack(raw)[1])
 
 
 def present_frame(raw: bytes) -> tuple[float, float]:
-    """`sent_ms` and `seen_s` of a PRESENT frame: as those of a command. Raises ValueError for what
-    is no such frame."""
+    """Return `sent_ms` and `seen_s` of a PRESENT frame; see `DriveFrame`. Raises ValueError for
+    data that is no such frame."""
     if len(raw) != _PRESENT.size:
         raise ValueError(f"such a frame has {_PRESENT.size} bytes")
     _, sent_ms, seen_s = _PRESENT.unpack(raw)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of the robot file's [publish.*] of kind "mcap": listed, and given to a client with a
+"""Lists recordings of the robot file's [publish.*] of kind "mcap", and gives them to clients with a
 ticket. A link to a file can carry no header, and a token in an address would stay in logs: so a
-page requests an address that is good for one download."""
+page requests an address that is valid for one download."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ ADDRESS = "/recordings/"
 
 class Recordings:
     def __init__(self, folders: Mapping[str, Path]) -> None:
-        """By the name of their section."""
+        """`folders`: folders of recordings by the name of their section."""
         self._folders = folders
         self._tickets: OrderedDict[str, tuple[float, Path]] = OrderedDict()
 
     def listed(self) -> list[dict[str, Any]]:
-        """Newest first."""
+        """Return the recordings, newest first."""
         found = []
         for section, folder in self._folders.items():
             for path in folder.glob(f"*{SUFFIX}"):
@@ -40,14 +40,14 @@ class Recordings:
         return sorted(found, key=lambda row: -row["wall_time_s"])
 
     def file(self, section: object, name: object) -> Path:
-        """Where it is. Raises NotTaken for a file that is not listed."""
+        """Return the path of a recording. Raises NotTaken for a file that is not listed."""
         known = {(row["section"], row["name"]) for row in self.listed()}
         if (section, name) not in known:
             raise NotTaken("there is no such recording")
         return self._folders[str(section)] / str(name)
 
     def ticket(self, section: object, name: object) -> str:
-        """The address of one download. Raises NotTaken for a file that is not listed."""
+        """Return the address of one download. Raises NotTaken for a file that is not listed."""
         path = self.file(section, name)
         ticket = secrets.token_urlsafe(24)
         self._tickets[ticket] = (time.monotonic(), path)
@@ -56,7 +56,7 @@ class Recordings:
         return f"{ADDRESS}{ticket}/{name}"
 
     def redeem(self, address: str) -> Path | None:
-        """The file, once. None: the ticket is unknown, used, or too old."""
+        """Return the file of an address, once; None: the ticket is unknown, used, or too old."""
         ticket = address.removeprefix(ADDRESS).partition("/")[0]
         given_s, path = self._tickets.pop(ticket, (0.0, None))
         return path if time.monotonic() - given_s <= TICKET_S else None

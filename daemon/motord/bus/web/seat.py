@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which page drives: one at a time, as long as its pad is held. All pages share the lease of their
-input; what guarantees that the robot stops is the lifetime of that lease in the daemon. The rules
-here only keep a command from counting again after a pause."""
+"""Decides which page drives: one at a time, as long as its pad is held. All pages share the lease
+of their input, and the lifetime of that lease in the daemon guarantees that the robot stops. The
+rules here only keep a command from counting again after a pause."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from motord.bus.commands.gate import CommandGate, NotTaken
 from motord.bus.web.frames import DriveFrame
 
 SEEN_MAX_S = 1.0
-"""A driver who sees an older state than this cannot know where the robot is."""
+"""Greatest age of the state that a page shows: a driver with an older one cannot know where the
+robot is."""
 SEEN_AHEAD_S = 0.1
-"""A state of the future is one from before this computer was started."""
+"""Greatest time by which that state may be ahead: a later one is from before this computer was
+started."""
 PAUSED = "no command for {:g} s: release the pad and press it again"
 OLD_VIEW = "the page shows a state of {:.1f} s ago: the connection is too slow to drive"
 TAKEN = "{} is driving"
@@ -29,33 +31,34 @@ class Driver:
 
     name: str
     press: int = 0
-    """The newest hold of its pad."""
+    """Number of the newest hold of its pad."""
     over: int = 0
-    """Holds up to this number are over."""
+    """Number of the newest hold that is over; all earlier ones are over, too."""
     last_s: float = -math.inf
-    """When its newest command was passed on; -inf: it does not drive."""
+    """Time at which its newest command was passed on; -inf: it does not drive."""
     delays: Delays = field(default_factory=Delays)
 
 
 class Seat:
-    """Of one input."""
+    """Chooses the page that drives, for one input."""
 
     def __init__(self, gate: CommandGate, lease_s: float) -> None:
         self._gate = gate
         self._lease_s = lease_s
         self._driver: Driver | None = None
         self.reserved_for: str | None = None
-        """A procedure that moves the robot; no page drives beside it."""
+        """Name of the procedure that moves the robot; no page drives meanwhile. None: no procedure
+        runs."""
 
     @property
     def driver(self) -> str | None:
-        """Name of the page that drives now."""
+        """Name of the page that drives now; None: no page drives."""
         if self._driver is None or time.monotonic() - self._driver.last_s > self._lease_s:
             return None
         return self._driver.name
 
     def drive(self, driver: Driver, command: DriveFrame) -> None:
-        """Pass it on. Raises NotTaken."""
+        """Pass a command on. Raises NotTaken."""
         now_s = time.monotonic()
         waited_s = driver.delays.waited_s("page", round(command.sent_ms * 1e6))
         if self.reserved_for is not None:
@@ -80,7 +83,7 @@ class Seat:
         self._gate.drive(twist, waited_s, driver.name)
 
     def release(self, driver: Driver, press: int) -> None:
-        """This hold of the pad is over, also for commands of it that still arrive."""
+        """End a hold of the pad, also for its commands that still arrive."""
         driver.over = max(driver.over, press)
         if self._driver is driver:
             self._driver, driver.last_s = None, -math.inf
@@ -88,5 +91,5 @@ class Seat:
             self._gate.source.release()
 
     def leave(self, driver: Driver) -> None:
-        """Its page is gone."""
+        """End the hold of a page that is gone."""
         self.release(driver, driver.press)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pages do with recordings: list and download them, start and stop them, run them again."""
+"""Recordings on pages: list and download them, start and stop them, run them again."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ if TYPE_CHECKING:
 
 LOOKS = ("recordings", "ticket")
 CHANGES = ("record.start", "record.stop", "replay", "replay.cancel")
-"""Calls: those that a page may make that only watches, and the others."""
+"""Calls that a page needs the right to command for; a page that only watches may make those of
+LOOKS."""
 
 
 class Tape:
-    """Of one dashboard."""
+    """The recordings of one dashboard."""
 
     def __init__(self, runtime: Runtime, changed: Callable[[], None]) -> None:
-        """`changed`: a page that shows recordings has to look again."""
+        """`changed` is called when pages that show recordings have to list them again."""
         self._runtime, self._changed = runtime, changed
         self._files = Recordings(
             {
@@ -67,7 +68,7 @@ class Tape:
         return {}
 
     def redeem(self, request: web.BaseRequest) -> web.StreamResponse | None:
-        """A download. None: its address has expired."""
+        """Return the download of an address; None: the address has expired."""
         path = self._files.redeem(request.path)
         if request.method != "GET" or path is None:
             return None
@@ -88,5 +89,5 @@ class Tape:
         return {"recorders": recorders, "files": files}
 
     def _open(self) -> set[str | None]:
-        """Names of files that are being written."""
+        """Return the names of files that are being written."""
         return {one.state.file for one in self._runtime.recorders.values()}

@@ -37,7 +37,8 @@ from motord.client import ClientError
 WINDOW_S = 0.75
 RATE_MIN_HZ = 0.5
 TEXTS_MAX = 256
-"""Messages that a page has not read yet; one more, and it is taken for gone."""
+"""Largest number of messages that a page has not read yet; with one more its connection is
+ended."""
 CALLS_MAX = 8
 CALLS_HZ, COMMANDS_HZ = 20.0, 100.0
 COMPLAIN_AGAIN_S = 0.5
@@ -47,18 +48,18 @@ BUSY = "too many requests: try again"
 _log = logging.getLogger(__name__)
 
 Serve = Callable[["Viewer", str, Mapping[str, Any]], Awaitable[Any]]
-"""Answers a call of a page. Raises NotTaken and ClientError."""
+"""Function that answers a call of a page. Raises NotTaken and ClientError."""
 
 
 class Allowance:
-    """Limits a rate: at most so many a second, and as many at once."""
+    """Limits a rate: at most `rate_hz` a second, and as many at once."""
 
     def __init__(self, rate_hz: float) -> None:
         self._rate_hz = self._left = rate_hz
         self._looked_s = time.monotonic()
 
     def take(self) -> bool:
-        """False: too many."""
+        """Return whether one more is permitted now."""
         now_s = time.monotonic()
         more = (now_s - self._looked_s) * self._rate_hz
         self._left, self._looked_s = min(self._rate_hz, self._left + more), now_s
@@ -69,7 +70,7 @@ class Allowance:
 
 
 class Viewer:
-    """`offer` and `say` never wait."""
+    """A page that is connected. Its methods `offer` and `say` never wait."""
 
     def __init__(
         self,
@@ -80,22 +81,23 @@ class Viewer:
         commissioning: Commissioning,
         serve: Serve,
     ) -> None:
-        """`seat`: None for a page that only watches."""
+        """`seat`: the driver's place; None for a page that only watches."""
         self.name = name
         self.may_command = seat is not None
         self.may_write = False
-        """Any text as the robot file, not just what a procedure has measured."""
+        """Whether it may write any text as the robot file, not just what a procedure has
+        measured."""
         self._connection = connection
         self._seat, self._commissioning, self._serve = seat, commissioning, serve
         self._driver = Driver(name)
         self._rate_max_hz = self.rate_hz = rate_hz
         self.dropped = 0
-        """Frames that it did not get, because its link is slow."""
+        """Number of frames that it did not get, because its link is slow."""
         self._due_ns = 0
         self._newest: tuple[int, bytes] | None = None
         self._texts: deque[str] = deque()
         self._sent: deque[tuple[int, float]] = deque()
-        """Frames that the page has not acknowledged: number, and when."""
+        """Frames that the page has not acknowledged: number, and time of sending."""
         self._arrived = asyncio.Event()
         self._calls = 0
         self._asking, self._commanding = Allowance(CALLS_HZ), Allowance(COMMANDS_HZ)
@@ -103,11 +105,11 @@ class Viewer:
 
     # ------------------------------------------------------------------------------------ sending
     def due(self, stamp_ns: int) -> bool:
-        """Whether it is time for its next frame, by the state's stamp."""
+        """Return whether it is time for the page's next frame, by the state's stamp."""
         return stamp_ns >= self._due_ns
 
     def offer(self, number: int, frame: bytes, stamp_ns: int) -> bool:
-        """Returns whether an older one was lost for it."""
+        """Keep a frame for sending; return whether an older one was lost for it."""
         self._due_ns = max(self._due_ns + round(1e9 / self.rate_hz), stamp_ns)
         lost = self._newest is not None
         self.dropped += lost
@@ -116,7 +118,7 @@ class Viewer:
         return lost
 
     def say(self, text: str) -> None:
-        """Have a JSON message sent."""
+        """Add a JSON message to those that are sent."""
         if len(self._texts) >= TEXTS_MAX:
             self.end()
             return
@@ -125,16 +127,17 @@ class Viewer:
 
     @property
     def keeps_up(self) -> bool:
-        """It has read what it was sent: it may be sent what it can do without."""
+        """Whether the page has read what it was sent, and so may get messages that it can do
+        without."""
         return not self._texts and self._open()
 
     def end(self) -> None:
-        """It does not read."""
+        """End the connection of a page that does not read."""
         if (transport := self._connection.get_extra_info("transport")) is not None:
             transport.abort()
 
     async def run(self) -> None:
-        """Until it goes away: perhaps OSError, in a group."""
+        """Serve the page until it is gone. Raises OSError in a group if its connection fails."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 sending = tasks.create_task(self._send())
@@ -152,7 +155,8 @@ class Viewer:
             self._stand_up()
 
     def _stand_up(self) -> None:
-        """At once, though calls of it are still being answered."""
+        """Release the pad and leave the procedure, at once, even if calls of the page are still
+        being answered."""
         self._commissioning.leave(self)
         if self._seat is not None:
             self._seat.leave(self._driver)
@@ -173,7 +177,7 @@ class Viewer:
 
     # ------------------------------------------------------------------------------------- asking
     def _take(self, raw: bytes) -> None:
-        """A frame of the page."""
+        """Take a frame of the page."""
         with contextlib.suppress(ValueError, NotTaken):  # reported to the page, and counted
             match raw[:1]:
                 case b"":
@@ -208,7 +212,7 @@ class Viewer:
             self._complain(str(error))
 
     def _complain(self, why: str) -> None:
-        """Why a command was not passed on."""
+        """Report to the page why a command was not passed on."""
         now_s = time.monotonic()
         if now_s - self._complained_s >= COMPLAIN_AGAIN_S:
             self._complained_s = now_s

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our types as the Cyclone DDS binding expects them, made when first asked for. It needs them to
-announce a topic; messages themselves are encoded by `cdr`."""
+"""Types of `table.TYPES` as the Cyclone DDS binding expects them, created at first use. The binding
+needs them to announce a topic; `cdr` encodes the messages themselves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from motord.bus.messages.table import TYPES, Field
 from motord.bus.ros2.names import dds_type
 
 idl: Any = types
-"""Its generic types are no classes for a type checker."""
+"""The module `types` as Any: a type checker does not accept its generic types as classes."""
 _PRIMITIVES: dict[str, Any] = {
     "int8": idl.int8,
     "uint8": idl.uint8,
@@ -34,8 +34,8 @@ _PRIMITIVES: dict[str, Any] = {
 
 @cache
 def cyclone_type(name: str, *, service: bool = False) -> type[IdlStruct]:
-    """The class for a type of `table.TYPES`. A request or reply of a service has, before its own
-    fields, the client and the number of its request: rmw_cyclonedds."""
+    """Return the class for a type of `table.TYPES`. A request or reply of a service begins with the
+    client and the number of the request (rmw_cyclonedds)."""
     header = {"guid": idl.uint64, "seq": idl.int64} if service else {}
     fields = header | {field.name: _annotation(field) for field in TYPES[name]}
     return make_idl_struct(name.replace("/", "_"), dds_type(name), fields)

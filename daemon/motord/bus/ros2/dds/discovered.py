@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is logged of endpoints of others that have come to the domain: those of another type than
-ours, and clients of services that get no answer."""
+"""Logs new endpoints of other nodes in the domain whose type differs from motord's, and new clients
+of services that get no answer."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ _log = logging.getLogger(__name__)
 
 
 def client_of(qos: Any) -> bytes | None:
-    """`clientid` in an endpoint's user data: rmw_cyclonedds gives it to every client of a
-    service."""
+    """Return `clientid` from an endpoint's user data; None if there is no such entry.
+    rmw_cyclonedds gives it to every client of a service."""
     for policy in qos:
         if getattr(policy, "__scope__", "") == "Userdata":
             for pair in policy.data.split(b";"):
@@ -40,7 +40,7 @@ def client_of(qos: Any) -> bytes | None:
 
 
 class Discovered:
-    """Endpoints of the domain that have come since the last look."""
+    """Endpoints that have appeared in the domain since the last call of `look`."""
 
     def __init__(
         self,
@@ -48,20 +48,21 @@ class Discovered:
         services: Mapping[str, str],
         node_of: Callable[[bytes], str | None],
     ) -> None:
-        """`services`: names by their topics of requests. `node_of`: whose an endpoint is."""
+        """`services`: names of services by their request topics. `node_of` returns the name of an
+        endpoint's node, or None."""
         self._services = services
         self._unanswered = Unanswered(node_of)
         self._voices: defaultdict[str, RateLimitedLog] = defaultdict(lambda: RateLimitedLog(_log))
-        """By topic of ours, so that there are not more of them than of these."""
+        """Logs by topic of this node, which limits their number."""
         self._readers: dict[Side, Any] = {
             "writer": BuiltinDataReader(participant, BuiltinTopicDcpsPublication),
             "reader": BuiltinDataReader(participant, BuiltinTopicDcpsSubscription),
         }
 
     async def look(self, read: Mapping[str, str], written: Mapping[str, str]) -> None:
-        """Types that we have, by topic. Each endpoint is a turn of the event loop by itself: the
-        binding makes some forty calls for it, and where other threads want Python's lock each of
-        them waits for it."""
+        """Look at the new endpoints. `read` and `written`: types by topic of this node. Each
+        endpoint takes a turn of the event loop of its own: the binding makes some forty calls for
+        it, and when other threads need Python's lock each of these calls waits for it."""
         sides: tuple[tuple[Side, Mapping[str, str]], ...] = (("writer", read), ("reader", written))
         for side, ours in sides:
             for _ in range(_LOOK_AT_MOST):
@@ -71,7 +72,7 @@ class Discovered:
         self._unanswered.say()
 
     def _look_at_next(self, side: Side, ours: Mapping[str, str]) -> bool:
-        """False: there is none."""
+        """Look at the next new endpoint; return False if no endpoint is left."""
         try:
             found = self._readers[side].take(N=1)
         except DDSException as error:

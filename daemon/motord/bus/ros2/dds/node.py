@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An ordinary ROS 2 node: its topics and services by their ROS names, and its place in the graph
-(ros_discovery_info, rmw_dds_common)."""
+"""An ordinary ROS 2 node on DDS: its topics and services by their ROS names, and its place in the
+graph (ros_discovery_info, rmw_dds_common)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _GRAPH_TYPES = {
     "jazzy": "rmw_dds_common/msg/ParticipantEntitiesInfo",
 }
 _GID_BYTES = {"humble": 24, "jazzy": 16}
-"""RMW_GID_STORAGE_SIZE of rmw/types.h; what DDS does not fill is zero."""
+"""RMW_GID_STORAGE_SIZE of rmw/types.h; bytes that DDS does not fill are zero."""
 _GRAPH_QUALITY = Quality(depth=1, latched=True)
 _OTHERS_QUALITY = Quality(depth=64, latched=True, alone=False)
 
@@ -39,7 +39,8 @@ class Publisher:
         self._failing = False
 
     def publish(self, message: Any) -> None:
-        """What cannot be encoded, or is not taken, is lost; logged once."""
+        """Send a message. A message that cannot be encoded, or that DDS does not take, is lost;
+        only the first of a series is logged."""
         try:
             taken = self._writer.write(encode(self._kind, message))
         except ValueError as error:
@@ -57,7 +58,7 @@ class Publisher:
 
 
 class Node:
-    """Topics and services are made before `run`."""
+    """A ROS 2 node on DDS. Create its topics and services before `run`."""
 
     def __init__(
         self,
@@ -68,7 +69,8 @@ class Node:
         interface: str | None = None,
         distribution: Distribution = "jazzy",
     ) -> None:
-        """`distribution`: of the readers of the graph. Raises DdsError."""
+        """`distribution`: ROS 2 distribution of the other nodes, which read the graph. Raises
+        DdsError."""
         self.name = name
         self.namespace = namespace
         self.remap: dict[str, str] = {}
@@ -91,16 +93,17 @@ class Node:
         )  # fmt: skip
 
     def _learn(self, raw: bytes, _: Any) -> None:
-        """Of another distribution: its nodes stay without a name."""
+        """Take the names of other nodes from a message of the graph. A message of another
+        distribution cannot be decoded, and its nodes stay without a name."""
         with contextlib.suppress(ValueError):
             self._others.learn(decode(self._graph_type, raw))
 
     def full(self, name: str) -> str:
-        """A name with its namespace, as `remap` has it."""
+        """Return a name with its namespace, replaced by the rules in `remap`."""
         return names.remapped(self.namespace, self.name, name, self.remap)
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
-        """Of a type of `table.TYPES`. Raises DdsError."""
+        """Create a publisher. `kind`: a type of `table.TYPES`. Raises DdsError."""
         topic = names.topic(self.full(name))
         writer = self._participant.writer(topic, kind, quality or Quality(), _typed(kind))
         self.types.add(kind)
@@ -108,7 +111,7 @@ class Node:
         return Publisher(writer, kind)
 
     def subscribe(self, name: str, kind: str, take: Take, quality: Quality | None = None) -> None:
-        """As nodes.Node.subscribe. Raises DdsError."""
+        """Implement `nodes.Node.subscribe`. Raises DdsError."""
         topic = names.topic(self.full(name))
         voice, delays = RateLimitedLog(_log), Delays()
 
@@ -126,20 +129,21 @@ class Node:
         self.types.add(kind)
 
     def reader(self, name: str, kind: str, quality: Quality) -> Reader:
-        """A topic whose samples are taken elsewhere, as they come. Raises DdsError."""
+        """Create a reader whose samples are taken elsewhere as they arrive. Raises DdsError."""
         self.types.add(kind)
         topic = names.topic(self.full(name))
         self._readers.append(self._participant.reader(topic, kind, quality, _typed(kind), None))
         return self._readers[-1]
 
     def writer_of(self, reader: Reader, handle: int) -> str:
-        """The name of a sample's node, by DDS's number of its writer."""
+        """Return the name of the node that sent a sample. `handle`: DDS's handle of the sample's
+        writer."""
         return self._others.name(reader.writer_gid(handle))
 
     def serve(
         self, name: str, kind: str, answer: Answer, depth: int = 10, together: int = 1
     ) -> None:
-        """As nodes.Node.serve. Raises DdsError."""
+        """Implement `nodes.Node.serve`. Raises DdsError."""
         service = Service(
             self._participant, self.full(name), kind, answer, self._others.name, depth, together
         )
@@ -149,8 +153,8 @@ class Node:
         self._writers.append(service.writer)
 
     async def run(self) -> None:
-        """Until cancelled. Of several that share the node one does it for all, and the next one
-        when that one fails."""
+        """Run the node until cancelled. When several adapters share the node, one of them runs it
+        for all; if that one fails, the next one does."""
         async with self._running, asyncio.TaskGroup() as tasks:
             self._announce()
             for service in self._services:

@@ -12,13 +12,13 @@ CURES = {
     ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Twist"): "stamped = false takes Twist",
     ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"): "stamped = true takes it",
 }
-"""By our type and theirs: what to write into the robot file."""
+"""Settings of the robot file that remove a conflict, by motord's type and the other node's type."""
 Side = Literal["writer", "reader"]
 
 
 def type_conflict(topic: str, side: Side, ours: str, theirs: str) -> str | None:
-    """`ours` is a type of `table.TYPES`, `theirs` a name as the middleware has it. None: it is the
-    same one."""
+    """Return the log line about an endpoint whose type differs; None if the types are the same.
+    `ours`: a type of `table.TYPES`; `theirs`: a name as the middleware writes it."""
     if theirs == dds_type(ours):
         return None
     kind = theirs.replace("::dds_::", "::").removesuffix("_").replace("::", "/")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One DDS participant, on the Cyclone DDS binding. It carries bytes in CDR; what they mean is not
-known here. One thread waits for the network; all else happens in the event loop.
+"""A DDS participant on the Cyclone DDS binding. It transports bytes in CDR and does not interpret
+them. One thread waits for the network; everything else happens in the event loop.
 
-No listeners (they run Python in DDS's own receive thread) and no KEEP_ALL (a write would wait for
-the slowest reader, with the interpreter's lock held).
+It uses no listeners (they run Python in DDS's own receive thread) and no KEEP_ALL (a write would
+wait for the slowest reader, with the interpreter's lock held).
 """
 
 from __future__ import annotations
@@ -40,8 +40,9 @@ from motord.bus.ros2.quality import Quality
 
 Discovery = Literal["localhost", "subnet"]
 URI = "CYCLONEDDS_URI"
-"""Cyclone's own configuration, from the environment: with discovery subnet it takes precedence over
-ours. It cannot open to the network what the robot file keeps on this machine."""
+"""Environment variable with Cyclone's own configuration. With discovery "subnet" it takes
+precedence over motord's. With "localhost" it is ignored, so it cannot open to the network what the
+robot file keeps on this machine."""
 BLOCKING_MAX = duration(milliseconds=5)
 _ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 _JOIN_WITHIN_S = 2.0
@@ -59,19 +60,20 @@ _LOCALHOST = (
 _COMPATIBILITY = (
     "<Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>"
 )
-"""Types of Fast DDS (vendor 1.15) match by their names. Its releases from 3.0 on (Kilted) describe
-each type, and what they say of arrays Cyclone takes for invalid: odom and the graph did not match.
-eclipse-cyclonedds/cyclonedds, pull request 2333."""
+"""Makes types of Fast DDS (vendor 1.15) match by their names. Its releases from 3.0 on (Kilted)
+describe each type, and Cyclone takes their description of arrays for invalid: odom and the graph
+did not match. eclipse-cyclonedds/cyclonedds, pull request 2333."""
 
 _log = logging.getLogger(__name__)
 
 
 class DdsError(OSError):
-    """The DDS library refuses; the text says what."""
+    """An error of the DDS library; the text describes it."""
 
 
 def configuration(discovery: Discovery, interface: str | None) -> str:
-    """Cyclone's configuration: this machine alone, or what its network interface reaches."""
+    """Return Cyclone's configuration for discovery on this machine alone, or by its network
+    interface."""
     inside = ""
     if discovery == "localhost":
         inside = _LOCALHOST
@@ -83,18 +85,19 @@ def configuration(discovery: Discovery, interface: str | None) -> str:
 
 @cache
 def _domain(domain_id: int, xml: str) -> Domain:
-    """One of a number for the whole process: Cyclone's rule."""
+    """Return the domain with a number. Cyclone permits only one of each number in a process."""
     return Domain(domain_id, xml)
 
 
 def _mute_library() -> None:
-    """Cyclone warns of each request that it cannot read, on standard error: a flood, and
-    `Discovered` has named the client. Warnings about its configuration are logged before."""
+    """Turn off Cyclone's warnings. It warns of each request that it cannot read, on standard error:
+    that would be a flood, and `Discovered` names the client. Warnings about the configuration are
+    written before this call."""
     load_cyclonedds().dds_set_log_mask(_FATAL_AND_ERROR)
 
 
 def _qos(quality: Quality, user_data: str) -> Qos:
-    """As DDS says it."""
+    """Return the quality of service as the binding expects it."""
     durability = Policy.Durability.TransientLocal if quality.latched else Policy.Durability.Volatile
     reliability: Any = Policy.Reliability.BestEffort
     if quality.reliable:
@@ -124,15 +127,14 @@ class Writer:
         self._reported = 0
 
     def write(self, raw: bytearray) -> bool:
-        """Whole CDR with its header. False: DDS did not take it."""
+        """Write a sample: complete CDR with its header. Return False if DDS does not take it."""
         if ddspy_write(self._handle, raw) < 0:
             self.lost += 1
             return False
         return True
 
     def say_mismatch(self) -> None:
-        """A reader that requests more than this writer offers gets nothing: logged once for
-        each."""
+        """Log new readers that request more than this writer offers, and so receive nothing."""
         entity: Any = self.entity
         status = entity.get_offered_incompatible_qos_status()
         if status is not None and status.total_count > self._reported:
@@ -160,11 +162,12 @@ class Reader:
 
     @property
     def elsewhere(self) -> bool:
-        """Its samples are taken elsewhere."""
+        """Whether its samples are taken elsewhere, without `deliver`."""
         return self._take is None
 
     def writer_gid(self, handle: int) -> bytes:
-        """The writer of a sample, as DDS names it. Empty: it has gone."""
+        """Return the gid of a sample's writer; empty if the writer is gone. `handle`: DDS's handle
+        of the writer."""
         if handle not in self._writers:
             try:
                 found: Any = self.entity.get_matched_publication_data(handle)
@@ -178,7 +181,7 @@ class Reader:
         return self._writers[handle]
 
     def deliver(self) -> None:
-        """All that has arrived."""
+        """Take all samples that have arrived."""
         if self._take is None:
             return
         taken = ddspy_take(self._handle, _ANY, self._quality.depth)
@@ -189,8 +192,7 @@ class Reader:
                 self._take(raw, info)
 
     def say_mismatch(self) -> None:
-        """A writer that offers less than this reader requests does not match: logged once for
-        each."""
+        """Log new writers that offer less than this reader requests, and so do not match."""
         if not self._quality.alone:
             return
         entity: Any = self.entity
@@ -207,7 +209,7 @@ _POLICIES = {
     23: "encoding",
     24: "type",
 }
-"""By their numbers: DDS-XTypes 1.3, 7.6.3."""
+"""Policies by their numbers (DDS-XTypes 1.3, 7.6.3)."""
 
 
 def _policy(number: int) -> str:
@@ -215,10 +217,10 @@ def _policy(number: int) -> str:
 
 
 class Participant:
-    """Endpoints are made before `run`."""
+    """A participant of a domain. Create its endpoints before `run`."""
 
     def __init__(self, domain_id: int, discovery: Discovery, interface: str | None = None) -> None:
-        """Raises DdsError."""
+        """Join the domain. Raises DdsError."""
         try:
             if discovery == "localhost" or URI not in os.environ:
                 _domain(domain_id, configuration(discovery, interface))
@@ -232,12 +234,12 @@ class Participant:
         self._topics: dict[str, Topic[Any]] = {}
         self._read: dict[str, str] = {}
         self._written: dict[str, str] = {}
-        """Types by topic."""
+        """Types by topic, of the topics that are written; `_read` has those that are read."""
         self._services: dict[str, str] = {}
-        """Names by their topics of requests."""
+        """Names of services by their request topics."""
         self._mute: list[DataWriter[Any]] = []
         self.node_of: Callable[[bytes], str | None] = lambda _: None
-        """Whose an endpoint is."""
+        """Returns the name of an endpoint's node, or None."""
         self._guard = GuardCondition(self.entity)
         self._arrived = asyncio.Event()
         self._taken = threading.Event()
@@ -247,7 +249,8 @@ class Participant:
     def writer(
         self, topic: str, kind: str, quality: Quality, user_data: str, service: str | None = None
     ) -> Writer:
-        """Of a type of `table.TYPES`; `service`: whose replies it writes. Raises DdsError."""
+        """Create a writer. `kind`: a type of `table.TYPES`. `service`: name of the service whose
+        replies it writes. Raises DdsError."""
         entity = self._writer(topic, kind, quality, user_data, service)
         if service is None:
             self._written[topic] = kind
@@ -255,7 +258,7 @@ class Participant:
         return self.writers[-1]
 
     def mute_writer(self, topic: str, kind: str, quality: Quality, user_data: str) -> None:
-        """One more writer of a service's replies, which never writes. Raises DdsError."""
+        """Create one more writer of a service's replies, which never writes. Raises DdsError."""
         self._mute.append(self._writer(topic, kind, quality, user_data, topic))
 
     def _writer(
@@ -277,9 +280,9 @@ class Participant:
         take: Callable[[bytes, Any], None] | None,
         service: str | None = None,
     ) -> Reader:
-        """`take` is called in the event loop for each sample, with DDS's information about it, and
-        must not raise; None: its samples are taken elsewhere. `service`: whose requests it reads.
-        Raises DdsError."""
+        """Create a reader. `take` is called in the event loop for each sample, with DDS's
+        information about it, and must not raise; None: the samples are taken elsewhere. `service`:
+        name of the service whose requests it reads. Raises DdsError."""
         try:
             entity = DataReader(
                 self.entity, self._topic(topic, kind, service), _qos(quality, user_data)
@@ -337,7 +340,8 @@ class Participant:
             await discovered.look(self._read, self._written)
 
     def _wait(self, loop: asyncio.AbstractEventLoop) -> None:
-        """In a thread of its own: wake the loop for arrivals, one word at a time."""
+        """Wake the event loop when samples arrive, and wait until they are taken before waking it
+        again. Runs in a thread of its own."""
         waitset = WaitSet(self.entity)
         waitset.attach(self._guard)
         for reader in self.readers:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thread that takes a cmd_vel from the network to the daemon runs before Python: the receiving
-thread of Cyclone DDS gets SCHED_FIFO at the lowest priority there is, where the system grants it.
-The daemon's threads have higher ones.
+"""Gives the receiving thread of Cyclone DDS, which takes a cmd_vel from the network to the daemon,
+priority over Python: SCHED_FIFO at the lowest priority there is, if the system permits it. The
+daemon's threads have higher priorities.
 
 Without it the thread, once woken, waits for a busy Python thread to use up its slice: up to one
 tick of the kernel, 4 ms at 250 Hz, in one of ten commands (docs/performance.md).
 
-A thread that runs for REALTIME_RUNS_MAX_US without a pause is flooded: it takes turns with the
-others again. Sources: motord.bus.confine, sched(7).
+A thread that runs for REALTIME_RUNS_MAX_US without a pause is flooded: it gets ordinary scheduling
+again. Sources: motord.bus.confine, sched(7).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pathlib import Path
 from motord.bus.confine import REALTIME_PRIORITY_MAX, REALTIME_RUNS_MAX_US
 
 _BEFORE_PYTHON = "recv"
-"""How the names of the threads begin: recv, or recvMC and recvUC."""
+"""Beginning of the threads' names: recv, or recvMC and recvUC."""
 
 _log = logging.getLogger(__name__)
 
@@ -36,7 +36,8 @@ def _threads(process: int | str) -> Iterator[int]:
 
 
 def set_policy(policy: int, priority: int, process: int | str = "self") -> None:
-    """To these threads of a process; what is not granted stays as it is."""
+    """Set the scheduling policy of the receiving threads of a process. A thread stays as it is if
+    the system does not permit the change."""
     for thread in _threads(process):
         with suppress(OSError):
             os.sched_setscheduler(thread, policy | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
@@ -52,6 +53,7 @@ def _flooded() -> None:
 
 
 def before_python() -> None:
-    """For the threads that there are now. The event loop that calls it handles a flood."""
+    """Give the receiving threads that exist now priority over Python. The event loop that calls
+    this handles a flood."""
     asyncio.get_running_loop().add_signal_handler(signal.SIGXCPU, _flooded)
     set_policy(os.SCHED_FIFO, REALTIME_PRIORITY_MAX)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands from DDS to the daemon without Python between them: the thread of Cyclone DDS that
-receives a cmd_vel calls `_motord_bus`, which judges it as the command gate does, and sends it under
-the input's lease (csrc/bus/bus_receiver.c). Python learns of it afterwards, for the log, the
-figures and the motions.
+"""Passes commands from DDS to the daemon without Python between them: the thread of Cyclone DDS
+that receives a cmd_vel calls `_motord_bus`, which checks it as the command gate does, and sends it
+under the input's lease (csrc/bus/bus_receiver.c). Python learns of the command afterwards, for the
+log, the figures and the motions.
 """
 
 from __future__ import annotations
@@ -23,9 +23,11 @@ from motord.bus.ros2.quality import Quality
 
 TYPE = "geometry_msgs/msg/TwistStamped"
 NEWEST_FEW = Quality(depth=8, reliable=False)
-"""Each has a stamp, so that an old one is refused; they are handed on in their order."""
+"""Quality of service of cmd_vel. The commands are passed on in their order, and each has a stamp,
+so that an old one is refused."""
 TRIED = ("11.",)
-"""Versions of the binding whose C library is known to have what is called, as it is called."""
+"""Beginnings of the binding's versions whose C library is known to have the functions that
+`_motord_bus` calls."""
 ALIVE_EVERY_S = 0.2
 _HUNG = "the event loop of motord-bus did not run for 2 s, so a stop would not have been handled"
 _BROKEN = "the daemon's command socket does not take it"
@@ -40,8 +42,8 @@ class Endpoint(Protocol):
 
 
 def library() -> Any | None:
-    """`_motord_bus` with the C library of the binding; None, and a line in the log: commands go
-    through Python then."""
+    """Return `_motord_bus`, connected to the C library of the binding. If it cannot be used, log
+    the reason and return None: commands go through Python then."""
     try:
         found = version("cyclonedds")
         if not found.startswith(TRIED):
@@ -59,7 +61,8 @@ def library() -> Any | None:
 
 
 class Receiver:
-    """Of one topic and one lease, while `open`. It is the Outlet of motord.bus.commands.link."""
+    """Receiver of one topic under one lease, while it is open. It implements
+    `motord.bus.commands.link.Outlet`."""
 
     def __init__(self, made: Any, entity: Any) -> None:
         """`made`: what `library` returned. `entity`: the reader."""
@@ -70,7 +73,8 @@ class Receiver:
 
     @contextmanager
     def open(self) -> Iterator[int]:
-        """It takes commands; yields what becomes readable when one has come. Raises OSError."""
+        """Take commands; yield a descriptor that becomes readable when a command arrives. Raises
+        OSError."""
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         try:
             self._number = self._checked(self._lib.receiver_claim(), "no receiver is left")
@@ -92,7 +96,7 @@ class Receiver:
 
     # ------------------------------------------------------------------------------ what came
     def newest_report(self) -> Any:
-        """Its receiver_report; what woke is taken back before."""
+        """Reset the descriptor of `open`, and return the newest receiver_report."""
         with suppress(BlockingIOError):
             os.eventfd_read(self._event_fd)
         report = self._ffi.new("receiver_report *")
@@ -100,39 +104,40 @@ class Receiver:
         return report
 
     def received(self) -> Any:
-        """Each received_twist that was not read yet. One call reads all of them, because each call
-        waits for the GIL when other threads are busy."""
+        """Return each received_twist that was not read yet. One call reads all of them, because
+        each call waits for the GIL when other threads are busy."""
         room = self._lib.RECEIVED_TWISTS_MAX
         found = self._ffi.new("received_twist[]", room)
         return found[0 : self._lib.receiver_take_received(self._number, found, room)]
 
     # ------------------------------------------------------------------------------ its lease
     def alive(self) -> None:
-        """The event loop runs: without a sign of that for 2 s nothing is handed on."""
+        """Report that the event loop runs: without a report for 2 s the receiver passes nothing
+        on."""
         self._lib.receiver_alive(self._number)
 
     @property
     def direct(self) -> int:
-        """Commands that it has sent."""
+        """Implement `Outlet.direct`."""
         return int(self._lib.receiver_direct(self._number))
 
     def hold(self, fd: int, token: bytes, sequence: int) -> None:
-        """A lease begins."""
+        """Implement `Outlet.hold`."""
         self._lib.receiver_hold(self._number, fd, token, sequence)
 
     def let_go(self) -> int:
-        """It is over; the number of its newest command."""
+        """Implement `Outlet.let_go`."""
         return int(self._lib.receiver_let_go(self._number))
 
     def send(self, raw: bytes, seen: int) -> int:
-        """As receiver_send."""
+        """Implement `Outlet.send`."""
         return int(
             self._lib.receiver_send(self._number, self._ffi.new("uint8_t[]", raw), len(raw), seen)
         )
 
 
 class Twists:
-    """cmd_vel of one input."""
+    """Takes cmd_vel of one input from a `Receiver`."""
 
     def __init__(
         self,
@@ -149,7 +154,7 @@ class Twists:
         self._counts: dict[str, int] = {}
 
     async def run(self) -> None:
-        """Until cancelled. Raises OSError when DDS fails."""
+        """Receive until cancelled. Raises OSError when DDS fails."""
         loop = asyncio.get_running_loop()
         arrived = asyncio.Event()
         source = self._gate.source
@@ -171,7 +176,7 @@ class Twists:
                 loop.remove_reader(fd)
 
     def look(self) -> None:
-        """Report what has come since. Raises OSError when DDS fails."""
+        """Report the commands and counts since the last call. Raises OSError when DDS fails."""
         report = self._receiver.newest_report()
         for one in self._receiver.received():
             command = (one.linear_m_s, one.angular_rad_s, one.lateral_m_s)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clients of our services on a middleware that does not read our answers: each is named once, with
+"""Logs clients of motord's services whose middleware does not read the answers: each once, with
 what to do. Otherwise a person at a command line would wait without knowing why."""
 
 from __future__ import annotations
@@ -12,39 +12,41 @@ from motord.base.rate_limited_log import AGAIN_S
 from motord.bus.ros2.senders import unnamed
 
 NAMED_WITHIN_S = 6.0
-"""A node appears in the graph after its endpoints; until then it is logged without its name."""
+"""Time to wait for the name of a client's node, which appears in the graph after its endpoints.
+After that time the client is logged without its name."""
 _WAITING_MAX = 64
 _REPORTED_MAX = 256
 _IN_A_LINE = 4
 _CYCLONE = b"\x01\x10"
 _VENDORS = {b"\x01\x01": "RTI Connext", b"\x01\x0f": "Fast DDS"}
-"""The first two bytes of an endpoint's id are its maker: DDSI-RTPS, 9.3.1.1."""
+"""Vendors by the first two bytes of an endpoint's id (DDSI-RTPS, 9.3.1.1)."""
 
 _log = logging.getLogger(__name__)
 
 
 def answered(gid: bytes) -> bool:
-    """The middleware of that endpoint has the client inside of the message, as ours."""
+    """Return whether the endpoint's middleware puts the client into the message, as Cyclone DDS
+    does."""
     return gid[:2] == _CYCLONE
 
 
 def middleware(gid: bytes) -> str:
-    """Of an endpoint, by its maker."""
+    """Return the name of an endpoint's middleware, by its vendor."""
     return _VENDORS.get(gid[:2], f"DDS of vendor {gid[:2].hex('.')}")
 
 
 class Unanswered:
     def __init__(self, node_of: Callable[[bytes], str | None]) -> None:
-        """`node_of`: whose an endpoint is; None: not known yet."""
+        """`node_of` returns the name of an endpoint's node; None if it is not known yet."""
         self._node_of = node_of
         self._waiting: dict[tuple[bytes, str], float] = {}
-        """Endpoints and services that are not logged yet, and when they came."""
+        """When each client arrived that is not logged yet, by its endpoint and the service."""
         self._reported: set[tuple[str, str]] = set()
         self._due_s = 0.0
         self._more = 0
 
     def add(self, gid: bytes, service: str, now_s: float | None = None) -> None:
-        """A client of that service."""
+        """Note a client of a service."""
         if len(self._waiting) < _WAITING_MAX:
             self._waiting.setdefault((gid, service), _now_s(now_s))
         else:

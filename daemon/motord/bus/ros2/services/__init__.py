@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What other nodes call: services, parameters, the life cycle and actions."""
+"""What other nodes can call: services, parameters, the life cycle and actions."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A ROS 2 action's server: two services and a topic of its own, cancelling, and the goals' states
-(design.ros2.org, "Actions"; rcl_action). What a goal does is not known here.
+"""The server of a ROS 2 action: services for goals, cancelling and results, and topics for feedback
+and the goals' states (design.ros2.org, "Actions"; rcl_action). It does not know what a goal does.
 
-Goals that take turns share a Turn: a new one is refused while another is running.
+Actions that take turns share a Turn: a new goal is refused while another one is running.
 """
 
 from __future__ import annotations
@@ -22,20 +22,21 @@ from motord.bus.ros2.nodes import Node
 from motord.bus.ros2.quality import Quality
 
 GOALS_KEPT = 16
-"""With their results; more are forgotten, the oldest first."""
+"""Number of goals that are kept with their results; the oldest are forgotten first."""
 RESULTS_TOGETHER = 8
-"""Clients that wait for results at once."""
+"""Largest number of clients that wait for results at once."""
 RESULTS_DEPTH = 100
-"""All that wait for one result are answered at once: the default of 10 loses answers."""
+"""Depth of the service for results. All clients that wait for one result are answered at once: the
+default of 10 loses answers."""
 FEEDBACK_EVERY_S = 0.1
 STATUS = Quality(depth=1, latched=True)
-"""rcl_action_qos_profile_status_default."""
+"""Quality of service of the status topic: rcl_action_qos_profile_status_default."""
 
 _log = logging.getLogger(__name__)
 
 
 class Status(IntEnum):
-    """action_msgs/msg/GoalStatus."""
+    """State of a goal: action_msgs/msg/GoalStatus."""
 
     UNKNOWN = 0
     ACCEPTED = 1
@@ -50,7 +51,7 @@ ENDED = (Status.SUCCEEDED, Status.CANCELED, Status.ABORTED)
 
 
 class Refused(Exception):
-    """A goal is not taken; the text says why."""
+    """A goal is not taken; the text is the reason."""
 
 
 # action_msgs/srv/CancelGoal
@@ -59,12 +60,12 @@ _ANY_ID = bytes(16)
 _NUMBER = re.compile(r"[-+.\d]+")
 Report = Callable[[SimpleNamespace], None]
 Work = Callable[[Report, asyncio.Event], Awaitable[tuple[Status, SimpleNamespace]]]
-"""Carries out a goal. It sends feedback, checks whether it is cancelled, and does not raise.
-"""
+"""Function that carries out a goal. It sends feedback, checks whether it is cancelled, and does not
+raise."""
 
 
 class Turn:
-    """Which of those that take turns is at work."""
+    """Name of the action that is at work, of those that take turns; None while all of them rest."""
 
     def __init__(self) -> None:
         self.holder: str | None = None
@@ -91,7 +92,7 @@ class ActionServer:
         turn: Turn,
     ) -> None:
         """`kind`: pkg/action/Name. `accept` raises Refused. `nothing`: the result of a goal that is
-        not known."""
+        unknown or was aborted before it had one."""
         self._name, self._kind = name, kind
         self._accept, self._nothing, self._turn = accept, nothing, turn
         self._goals: dict[bytes, _Goal] = {}
@@ -99,8 +100,8 @@ class ActionServer:
         self._voices: dict[str, RateLimitedLog] = {}
 
     def serve(self, node: Node) -> None:
-        """Be there. When called again, with another node: a goal that was accepted before and has
-        not begun never begins. Raises DdsError."""
+        """Offer the action on a node. When called again, with another node, abort a goal that was
+        accepted and has not begun. Raises DdsError."""
         while not self._next.empty():
             self._abort(self._next.get_nowait())
             self._turn.holder = None
@@ -115,7 +116,7 @@ class ActionServer:
         self._status = node.publisher(f"{below}/status", "action_msgs/msg/GoalStatusArray", STATUS)
 
     async def run(self) -> None:
-        """One goal after the other, until cancelled."""
+        """Carry out one goal after the other, until cancelled."""
         self._say_status()
         while True:
             goal = await self._next.get()
@@ -144,7 +145,7 @@ class ActionServer:
         goal.ended.set()
 
     def _abort(self, goal: _Goal) -> None:
-        """End one that has not ended; `run` publishes it the next time."""
+        """Abort a goal that has not ended; `run` publishes its state when it starts again."""
         if not goal.ended.is_set():
             goal.status, goal.result = Status.ABORTED, self._nothing
             goal.ended.set()
@@ -185,14 +186,16 @@ class ActionServer:
         return SimpleNamespace(accepted=True, stamp=_time(goal.stamp_ns))
 
     def _no(self, answer: SimpleNamespace, why: str) -> SimpleNamespace:
-        """The answer cannot hold the reason: it is logged, rate-limited for each reason."""
+        """Return `answer`, and log the reason, rate-limited for each reason: the answer cannot hold
+        it."""
         reason = _NUMBER.sub("", why)
         voice = self._voices.setdefault(reason, RateLimitedLog(_log))
         voice.say(f"action {self._name}: refused: {why}")
         return answer
 
     async def _cancel(self, request: SimpleNamespace) -> SimpleNamespace:
-        """By number, or all up to a moment, or both; neither: all (CancelGoal.srv)."""
+        """Cancel the goal with a number, all goals up to a time, or both; with neither, all goals
+        (CancelGoal.srv)."""
         info = request.goal_info
         number, until_ns = bytes(info.goal_id.uuid), _nanoseconds(info.stamp)
         everything = number == _ANY_ID and until_ns == 0
@@ -211,7 +214,8 @@ class ActionServer:
         return SimpleNamespace(return_code=code, goals_canceling=[_info(goal) for goal in found])
 
     async def _result(self, request: SimpleNamespace) -> SimpleNamespace:
-        """When it has ended; each goal has a time-out of its own."""
+        """Return the result of a goal when the goal has ended; each goal has a time-out of its
+        own."""
         goal = self._goals.get(bytes(request.goal_id.uuid))
         if goal is None:
             return SimpleNamespace(status=int(Status.UNKNOWN), result=self._nothing)

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The state machine as that of a managed node (design.ros2.org, "Managed nodes"): inactive is
 disarmed, active is armed. A fault or an emergency stop is an error, from which no transition leads:
-managers walk transitions by themselves, and a latch is for a person to reset.
+managers request transitions by themselves, but only a person may reset a latch.
 
-The daemon makes its drives ready by itself, so that the node is inactive before any request;
-`configure` is taken there too, for managers begin with it. `cleanup` and `shutdown` are the node's
-own: the one holds a disarmed robot's node unconfigured, the other ends its transitions.
+The daemon makes its drives ready by itself, so the node is inactive before any request; `configure`
+is accepted there too, because managers begin with it. `cleanup` and `shutdown` lead to states of
+the node alone: `cleanup` makes the node of a disarmed robot unconfigured, and after `shutdown`,
+which disarms the robot, no transition is possible.
 """
 
 from __future__ import annotations
@@ -57,12 +58,13 @@ _TRANSITIONS = (
     (6, "shutdown", INACTIVE, FINALIZED, "disarm"),
     (7, "shutdown", ACTIVE, FINALIZED, "disarm"),
 )
-"""Number, label, start, goal, and what the daemon is asked for."""
+"""Number, label, start, goal, and the daemon's method that is called (None: no call)."""
 _SUCCEEDED, _FAILED = (97, "transition_success"), (99, "transition_error")
-"""Of transitions that cannot be requested: TRANSITION_CALLBACK_* and rcl_lifecycle's labels."""
+"""Numbers and labels of transitions that cannot be requested: TRANSITION_CALLBACK_* and
+rcl_lifecycle's labels."""
 LOOK_EVERY_S = 0.1
 SEEN_WITHIN_S = 1.0
-"""What the daemon has answered is on the state page by then."""
+"""The state page shows within this time what the daemon has answered."""
 _SEEN_EVERY_S = 0.01
 
 _log = logging.getLogger(__name__)
@@ -74,11 +76,12 @@ class Lifecycle:
         self._gate = gate
         self._voice = RateLimitedLog(_log)
         self._held: tuple[int, str] | None = None
-        """UNCONFIGURED or FINALIZED, as the node was asked to be; None: as the machine is."""
+        """UNCONFIGURED or FINALIZED after a request for it; None: the node has the state of the
+        machine."""
         self._sent = UNKNOWN
 
     def serve(self, node: Node) -> None:
-        """What `ros2 lifecycle` requests. Raises DdsError."""
+        """Offer the services and the topic that `ros2 lifecycle` uses. Raises DdsError."""
         package = "lifecycle_msgs/srv"
         node.serve("~/get_state", f"{package}/GetState", self._get)
         node.serve("~/change_state", f"{package}/ChangeState", self._change)
@@ -95,7 +98,7 @@ class Lifecycle:
             await asyncio.sleep(LOOK_EVERY_S)
 
     def _look(self) -> tuple[int, str]:
-        """The state now; listeners get a new one."""
+        """Return the state now, and publish it if it is new."""
         before, self._sent = self._sent, self._now()
         if self._sent != before and UNKNOWN not in (self._sent, before):
             self._events.publish(_event(before, self._sent, _between(before, self._sent)))
@@ -140,7 +143,7 @@ class Lifecycle:
         return SimpleNamespace(success=False)
 
     async def _walk(self, goal: tuple[int, str], method: str | None) -> bool:
-        """Whether the goal is reached. Raises NotTaken."""
+        """Carry out a transition; return whether its goal is reached. Raises NotTaken."""
         if method is None:
             return self._hold(goal)
         reached = _DISARMED if goal == FINALIZED else (goal,)
@@ -158,7 +161,7 @@ class Lifecycle:
         return True
 
     def _hold(self, goal: tuple[int, str]) -> bool:
-        """Be unconfigured, or no longer; whether it is so."""
+        """Make the node unconfigured, or no longer; return whether it is in the state `goal`."""
         if goal == UNCONFIGURED:
             self._held = UNCONFIGURED
         else:
@@ -170,7 +173,7 @@ class Lifecycle:
 
 
 def _between(before: tuple[int, str], now: tuple[int, str]) -> tuple[int, str]:
-    """The transition that was walked, by whatever cause."""
+    """Return the transition between two states, whatever its cause."""
     for number, label, start, goal, _ in _TRANSITIONS:
         if (start, goal) == (before, now):
             return number, label
@@ -180,7 +183,7 @@ def _between(before: tuple[int, str], now: tuple[int, str]) -> tuple[int, str]:
 def _event(
     before: tuple[int, str], now: tuple[int, str], transition: tuple[int, str]
 ) -> SimpleNamespace:
-    """lifecycle_msgs/TransitionEvent, of this moment."""
+    """Return a lifecycle_msgs/TransitionEvent with the current time."""
     return SimpleNamespace(
         timestamp=time.time_ns(),
         transition=_pair(*transition),
@@ -194,7 +197,7 @@ def _pair(number: int, label: str) -> SimpleNamespace:
 
 
 def _described(start_at: tuple[int, str] | None) -> SimpleNamespace:
-    """The transitions from there; None: all."""
+    """Return the transitions that start at a state; None: all transitions."""
     found = [
         SimpleNamespace(
             transition=_pair(number, label), start_state=_pair(*start), goal_state=_pair(*goal)

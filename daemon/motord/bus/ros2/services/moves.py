@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The actions drive_distance, rotate and calibrate (motord_msgs/action): motions and measures as
-ROS 2 sees them. What they do is in motion.py and bus/calibration.py."""
+"""The actions drive_distance, rotate and calibrate (motord_msgs/action). The motions are in
+motord/api/motion.py and bus/commands/mover.py, the measures in bus/messages/calibration.py."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ _CALIBRATE_NOTHING = SimpleNamespace(
 
 
 class Moves:
-    """Of one input. What moves the robot takes turns; a service that only reads does not block
-    them."""
+    """The actions of one input. Actions that move the robot take turns; calibrate only reads and
+    does not block them."""
 
     def __init__(self, runtime: Runtime, mover: Mover) -> None:
         self._runtime = runtime
@@ -54,12 +54,12 @@ class Moves:
         )
 
     def serve(self, node: Node) -> None:
-        """Be there. Raises DdsError."""
+        """Offer the actions on a node. Raises DdsError."""
         for server in self._servers:
             server.serve(node)
 
     def runs(self) -> tuple[Callable[[], Coroutine[None, None, None]], ...]:
-        """A task each, until cancelled."""
+        """Return the functions to run, each in a task of its own until cancelled."""
         return tuple(server.run for server in self._servers)
 
     # ------------------------------------------------------------------------------------ motions
@@ -146,7 +146,8 @@ class Moves:
         return Status.CANCELED, _with(_CALIBRATE_NOTHING, message="canceled")
 
     def _calibrated(self, asked: Measure, watched: Calibration, found: Found) -> SimpleNamespace:
-        """The robot file's own values where they are not what was asked for."""
+        """Return the result of a calibration, with the robot file's values for what was not
+        measured."""
         base = self._runtime.robot.base
         radius_m, track_m = base.wheel_radius_m, base.track_m
         if found.end is End.SUCCEEDED:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the node, as the services and the topic that every ROS 2 node has for them."""
+"""Serves the node's parameters by the services and the topic that every ROS 2 node has for them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from motord.config import Robot
 
 NOT_SET, DOUBLE = 0, 3
-"""rcl_interfaces/msg/ParameterType."""
+"""Numbers of rcl_interfaces/msg/ParameterType."""
 DEPTH = 1000
-"""rmw_qos_profile_parameters."""
+"""Depth of rmw_qos_profile_parameters."""
 _EMPTY: dict[str, Any] = {
     "bool_value": False, "integer_value": 0, "double_value": 0.0, "string_value": "",
     "byte_array_value": (), "bool_array_value": (), "integer_array_value": (),
@@ -30,11 +30,11 @@ _EMPTY: dict[str, Any] = {
 
 class Parameters:
     def __init__(self, robot: Robot, call: Call) -> None:
-        """`call`: as Tunable."""
+        """`call`: see `Tunable`."""
         self._tunable = Tunable(robot, call)
 
     def serve(self, node: Node) -> None:
-        """The services that every ROS 2 node has for it. Raises DdsError."""
+        """Offer the services for parameters that every ROS 2 node has. Raises DdsError."""
         for name, answer in {
             "ListParameters": self._list,
             "GetParameters": self._get,
@@ -97,7 +97,8 @@ class Parameters:
         return SimpleNamespace(successful=True, reason="")
 
     def _problem(self, parameter: SimpleNamespace) -> str | None:
-        """What the daemon need not be asked for."""
+        """Return why a change is refused, as far as that is clear without the daemon; None if it is
+        not."""
         name = parameter.name
         if (reason := self._tunable.problem(name)) is not None:
             return reason
@@ -105,7 +106,7 @@ class Parameters:
 
 
 def _event(node: str, changed: Sequence[SimpleNamespace]) -> SimpleNamespace:
-    """rcl_interfaces/ParameterEvent, of this moment."""
+    """Return an rcl_interfaces/ParameterEvent with the current time."""
     sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
     return SimpleNamespace(
         stamp=SimpleNamespace(sec=sec, nanosec=nanosec),
@@ -117,7 +118,8 @@ def _event(node: str, changed: Sequence[SimpleNamespace]) -> SimpleNamespace:
 
 
 def _listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
-    """As rcl_interfaces/srv/ListParameters defines it; depth 0 is any."""
+    """Return whether a name belongs to the list, as rcl_interfaces/srv/ListParameters defines it;
+    depth 0 is any depth."""
     for prefix in prefixes or ("",):
         below = name.removeprefix(f"{prefix}.") if prefix else name
         if prefix and below == name:
@@ -130,7 +132,8 @@ def _listed(name: str, prefixes: Sequence[str], depth: int) -> bool:
 
 
 def _value(about: Mapping[str, Any] | None) -> SimpleNamespace:
-    """Of nothing: NOT_SET. JSON has no infinity: null is one."""
+    """Return the ParameterValue of a parameter; NOT_SET for None. JSON has no infinity, so null
+    stands for it."""
     if about is None:
         return SimpleNamespace(**_EMPTY | {"type": NOT_SET})
     return SimpleNamespace(**_EMPTY | {"type": DOUBLE, "double_value": value_of(about)})
@@ -154,5 +157,5 @@ def _descriptor(name: str, about: Mapping[str, Any], fixed: bool) -> SimpleNames
 
 
 def _snake(name: str) -> str:
-    """ListParameters: list_parameters"""
+    """Return the snake case of a name: list_parameters for ListParameters."""
     return "".join(f"_{char.lower()}" if char.isupper() else char for char in name)[1:]

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A ROS 2 service as rmw_cyclonedds has it: a topic of requests and one of replies, each beginning
-with the client and the number of its request. Clients on another DDS middleware carry these outside
-of the message, where the binding neither shows them nor lets us write them: a call would wait for
-ever. So the service is not available to them: rmw_fastrtps takes one for available that has as many
-writers of replies as readers of requests (rmw_service_server_is_available.cpp), and there is one
-more. rmw_cyclonedds looks for a pair with one `serviceid`, and does not mind."""
+"""A ROS 2 service in the form of rmw_cyclonedds: a topic of requests and a topic of replies, whose
+messages begin with the client and the number of the request. Clients on another DDS middleware
+carry these outside of the message, where the binding can neither read nor write them: a call would
+wait for ever. So the service does not look available to them: rmw_fastrtps takes a service for
+available that has as many writers of replies as readers of requests
+(rmw_service_server_is_available.cpp), and there is one more writer here. rmw_cyclonedds looks for a
+pair with the same `serviceid`, and ignores the additional writer."""
 
 from __future__ import annotations
 
@@ -29,7 +30,7 @@ from motord.bus.ros2.quality import Answer, Quality
 from motord.bus.ros2.senders import asker
 
 WAITING_MAX = 32
-"""Requests; more are not answered."""
+"""Largest number of requests that wait; more are not answered."""
 MATCHED_WITHIN_S = 1.0
 _MATCHED_EVERY_S = 0.01
 _WHO = struct.Struct("<Qq")
@@ -50,8 +51,8 @@ class Service:
         depth: int,
         together: int = 1,
     ) -> None:
-        """`name_of`: of a client, by its endpoint. `together`: so many answers are in progress at
-        once. Raises DdsError."""
+        """`name_of` returns the name of a client by its endpoint. `together`: largest number of
+        answers in progress at once. Raises DdsError."""
         self._name_of = name_of
         self._together = together
         self._request, self._reply = f"{kind}_Request", f"{kind}_Response"
@@ -68,7 +69,7 @@ class Service:
         def type_of(of: str) -> str:
             return f"serviceid={service_id};typehash={type_hash(of)};"
 
-        # The reader last: no client finds it with one writer.
+        # Create the reader last: no client can find it while there is only one writer.
         participant.mute_writer(
             names.reply(name), self._reply, quality, f"typehash={type_hash(self._reply)};"
         )
@@ -106,8 +107,8 @@ class Service:
             self.writer.write(bytearray(HEADER + who) + reply[len(HEADER) :])
 
     async def _matched(self, client: int) -> None:
-        """Until the client receives replies: one that was just made may not yet. A client that
-        gives no name, or goes, is answered at once."""
+        """Wait until the client receives replies: one that was just created may not yet. Return at
+        once for a client that has no id or is gone."""
         name = self._client_id(client)
         if name is None:
             return

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""~/get_type_description: what a type of the node is made of, by its hash (REP-2011). Tools request
-it for types that they were not built with."""
+"""The service ~/get_type_description, which describes a type of the node by its hash (REP-2011).
+Tools call it for types that they were not built with."""
 
 from __future__ import annotations
 
@@ -28,18 +28,19 @@ _NOTHING = {
 
 
 class TypedNode(Protocol):
-    """What this service needs of a node."""
+    """The part of a node that this service needs."""
 
     types: set[str]
-    """Of its topics and services."""
+    """Types of the node's topics and services."""
 
     def serve(self, name: str, kind: str, answer: Answer) -> None:
-        """As `nodes.Node.serve`."""
+        """Offer a service: see `nodes.Node.serve`."""
         ...
 
 
 def serve_types(node: TypedNode) -> None:
-    """Those that its endpoints have when it is asked. Raises DdsError."""
+    """Offer the service on a node. It describes the types that the node's endpoints have when a
+    request arrives. Raises DdsError."""
 
     async def answer(request: SimpleNamespace) -> SimpleNamespace:
         # The hash alone decides, as in rcl: the name is part of what is hashed.
@@ -81,12 +82,14 @@ def _individual(found: dict[str, Any]) -> SimpleNamespace:
 
 
 def _sources(name: str) -> list[SimpleNamespace]:
-    """Texts as motord has them, which for types of others is without their comments."""
+    """Return the sources of a type and its parts. Sources of types that others define have no
+    comments."""
     return [_source(one) for one in (name, *made_of(name))]
 
 
 def _source(name: str) -> SimpleNamespace:
-    """`implicit` is what rosidl makes of a service or an action, and what has no text."""
+    """Return the source of a type. The encoding is `implicit`, without a text, for types that
+    rosidl generates from a service or an action."""
     encoding, text = "implicit", ""
     if "/msg/" in name:
         encoding, text = "msg", _text(name)
@@ -97,6 +100,6 @@ def _source(name: str) -> SimpleNamespace:
 
 
 def _text(name: str) -> str:
-    """As its author wrote it: what has no fields has no text."""
+    """Return a type's definition as its author wrote it: empty for a type without fields."""
     lonely = [field.name for field in TYPES[name]] == [PLACEHOLDER]
     return "" if lonely else message_definition(name)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node's topics and services on Zenoh, as rmw_zenoh has them. Each is `declared` on a session,
-again when there is a new one. Zenoh calls back in threads of its own: a callback only leaves what
-came in a queue and wakes the event loop, once for all that is in it."""
+"""A node's topics and services on Zenoh, in the form of rmw_zenoh. Each is declared on a session,
+and again on each new session. Zenoh calls back in its own threads: a callback only puts what
+arrived into a queue and wakes the event loop, once for all that the queue holds."""
 
 from __future__ import annotations
 
@@ -34,14 +34,15 @@ from motord.bus.ros2.zenoh.names import (
 )
 
 WAITING_MAX = 32
-"""Requests; more are refused."""
+"""Largest number of requests that wait; more are refused."""
 
 _log = logging.getLogger(__name__)
 
 
 class Endpoint(Protocol):
     def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
-        """Be there, as the endpoint of that number. Raises zenoh.ZError."""
+        """Declare the endpoint on the session. `number`: its number in the node. Raises
+        zenoh.ZError."""
         ...
 
 
@@ -65,7 +66,7 @@ class Publisher:
         self._failing = False
 
     def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
-        """As Endpoint.declare; what is latched is sent again."""
+        """Implement `Endpoint.declare`; send the latched message again."""
         key = names.key(self._topic, self._kind)
         if self._quality.latched:
             self._entity = zenoh.ext.declare_advanced_publisher(
@@ -86,7 +87,8 @@ class Publisher:
             self._put(self._latched)
 
     def publish(self, message: Any) -> None:
-        """Never waits. What cannot be encoded, or is not taken, is lost; logged once."""
+        """Send a message without waiting. A message that cannot be encoded, or that Zenoh does not
+        take, is lost; only the first of a series is logged."""
         try:
             raw = bytes(encode(self._kind, message))
         except ValueError as error:
@@ -125,7 +127,7 @@ class Subscription:
         self._kept: tuple[Any, ...] = ()
 
     def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
-        """As Endpoint.declare."""
+        """Implement `Endpoint.declare`."""
         self._inbox.open()
         key = names.key(self._topic, self._kind)
         endpoint = (SUBSCRIPTION, self._topic, self._kind, self._quality)
@@ -171,7 +173,7 @@ class Subscription:
 
 class Service:
     def __init__(self, name: str, kind: str, answer: Answer, depth: int, together: int = 1) -> None:
-        """`together`: so many answers are in progress at once."""
+        """`together`: largest number of answers in progress at once."""
         self._together = together
         self._name, self._kind = name, kind
         self._quality = Quality(depth=depth)
@@ -183,7 +185,7 @@ class Service:
         self._kept: tuple[Any, ...] = ()
 
     def declare(self, session: zenoh.Session, names: NodeNames, number: int) -> None:
-        """As Endpoint.declare."""
+        """Implement `Endpoint.declare`."""
         self._inbox.open()
         self._key = names.key(self._name, self._kind)
         queryable = session.declare_queryable(self._key, self._inbox.put, complete=True)
@@ -212,8 +214,8 @@ class Service:
                 _refuse(query, str(error))
 
     async def _serve(self, query: zenoh.Query) -> None:
-        """Raises ValueError for what no ROS 2 client requests. A client that looks at all keys, by
-        a wildcard, calls nothing."""
+        """Answer a request. Raises ValueError for a query that is no request of a ROS 2 client,
+        such as one with a wildcard in its key."""
         if str(query.key_expr) != self._key:
             raise ValueError(f"{query.key_expr} is not the key of a request")
         if query.payload is None or query.attachment is None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys, tokens and attachments by which rmw_zenoh 0.2.x (Jazzy) and later know a ROS 2 node on
-Zenoh: its docs/design.md. A liveliness token, which contains all of it, announces an endpoint."""
+"""Keys, tokens and attachments by which rmw_zenoh 0.2.x (Jazzy) and later recognise a ROS 2 node on
+Zenoh (docs/design.md of rmw_zenoh). A liveliness token announces an endpoint and describes it
+completely."""
 
 from __future__ import annotations
 
@@ -17,37 +18,40 @@ _SPACE = "@ros2_lv"
 _DEPTH_DEFAULT = 42
 _TYPE_PLACE, _NODE_PLACES = 10, slice(7, 9)
 _NO_HASH = "TypeHashNotSupported"
-"""What rmw_zenoh of Humble writes in its place."""
+"""Text that rmw_zenoh of Humble writes in place of a type's hash."""
 _ATTACHMENT = struct.Struct("<qqB16s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeNames:
-    """What every token of a node contains."""
+    """The parts that every token of a node contains."""
 
     domain_id: int
     session_id: str
     namespace: str
-    """With a slash at its beginning."""
+    """Namespace of the node, with a slash at its beginning."""
     name: str
     hashed: bool = True
-    """Types have a hash: Iron and later."""
+    """Whether types have a hash, as in Iron and later."""
 
     def token(self) -> str:
-        """Of the node itself; it is the session's only one, and its own entity."""
+        """Return the token of the node itself. The session has no other node, so the node's number
+        and its entity number are 0."""
         return self._token(0, NODE)
 
     def endpoint_token(self, number: int, what: str, topic: str, kind: str, quality: str) -> str:
-        """Of a topic or service by its full name; `number` is the endpoint's in its node."""
+        """Return the token of an endpoint. `number`: the endpoint's number in its node. `what`:
+        PUBLISHER, SUBSCRIPTION or SERVER. `topic`: full name of the topic or service."""
         topic_text = f"{_mangled(topic)}/{dds_type(kind)}/{self._hash(kind)}/{quality}"
         return f"{self._token(number, what)}/{topic_text}"
 
     def any_publisher(self, topic: str) -> str:
-        """The tokens of the publishers of a topic, of whatever type, as a key expression."""
+        """Return a key expression for the tokens of all publishers of a topic, whatever their
+        type."""
         return f"{_SPACE}/{self.domain_id}/*/*/*/{PUBLISHER}/*/*/*/{_mangled(topic)}/*/*/*"
 
     def key(self, topic: str, kind: str) -> str:
-        """Where a topic's messages, or a service's requests, go."""
+        """Return the Zenoh key of a topic's messages, or of a service's requests."""
         return f"{self.domain_id}/{topic.strip('/')}/{dds_type(kind)}/{self._hash(kind)}"
 
     def _hash(self, kind: str) -> str:
@@ -63,44 +67,47 @@ def _mangled(name: str) -> str:
 
 
 def quality_text(*, depth: int, reliable: bool, latched: bool) -> str:
-    """Reliability, durability, history, deadline, lifespan and liveliness; what is rmw_zenoh's
-    default is left out. Numbers are those of rmw/types.h."""
+    """Return the quality of service as a token contains it: reliability, durability, history,
+    deadline, lifespan and liveliness. Defaults of rmw_zenoh are left out; numbers are those of
+    rmw/types.h."""
     depth_text = "" if depth == _DEPTH_DEFAULT else str(depth)
     return f"{'' if reliable else 2}:{1 if latched else ''}:,{depth_text}:,:,:,,"
 
 
 def type_of(token: str) -> str:
-    """Of the topic that an endpoint's token announces, as `dds_type`."""
+    """Return the type of the topic that an endpoint's token announces, as `dds_type` writes it."""
     return token.split("/")[_TYPE_PLACE]
 
 
 def node_of(token: str) -> str:
-    """Full name of the node whose endpoint a token announces."""
+    """Return the full name of the node whose endpoint a token announces."""
     namespace, name = token.split("/")[_NODE_PLACES]
     return f"{namespace.replace('%', '/').rstrip('/')}/{name}"
 
 
 def gid(token: str) -> bytes:
-    """Of the endpoint that a token announces: XXH3 of it, 128 bits, the lower half first."""
+    """Return the gid of the endpoint that a token announces: the 128-bit XXH3 of the token, lower
+    half first."""
     return xxhash.xxh3_128_digest(token.encode())[::-1]
 
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """What goes with every message, request and reply."""
+    """The attachment of every message, request and reply."""
 
     sequence: int
     stamp_ns: int
-    """CLOCK_REALTIME of the sending."""
+    """Time of sending, CLOCK_REALTIME."""
     gid: bytes
 
     def encode(self) -> bytes:
-        """As rmw_zenoh 0.2 and later have it."""
+        """Return the attachment as rmw_zenoh 0.2 and later write it."""
         return _ATTACHMENT.pack(self.sequence, self.stamp_ns, len(self.gid), self.gid)
 
     @classmethod
     def decode(cls, raw: bytes) -> Attachment:
-        """Raises ValueError."""
+        """Return the attachment that `raw` contains. Raises ValueError if it contains no
+        attachment."""
         try:
             sequence, stamp_ns, length, number = _ATTACHMENT.unpack(raw)
         except struct.error as error:

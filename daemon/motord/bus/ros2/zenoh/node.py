@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An ordinary ROS 2 node on Zenoh: its topics, services and tokens, by a router (zenohd, or
-`ros2 run rmw_zenoh_cpp rmw_zenohd`). We are its client: nothing here listens."""
+"""An ordinary ROS 2 node on Zenoh: its topics, services and tokens. It is a client of a router
+(zenohd, or `ros2 run rmw_zenoh_cpp rmw_zenohd`) and listens on no port itself."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from motord.bus.ros2.zenoh.endpoints import Endpoint, Publisher, Service, Subscr
 from motord.bus.ros2.zenoh.names import NodeNames
 
 ROUTER = "tcp/127.0.0.1:7447"
-"""Where ROS 2 has its router."""
+"""Default address of the router of ROS 2."""
 OPEN_WITHIN_S = 1.0
 OPEN_AGAIN_S = 1.0
 CLOSE_WITHIN_S = 2.0
@@ -31,17 +31,17 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Router:
-    """Where the router is, and our name there. Files by their paths."""
+    """Address of the router, and paths of the files for TLS."""
 
     endpoint: str = ROUTER
-    """As Zenoh writes it: tcp/HOST:PORT, tls/HOST:PORT."""
+    """Address as Zenoh writes it: tcp/HOST:PORT, tls/HOST:PORT."""
     ca_file: str | None = None
     cert_file: str | None = None
     key_file: str | None = None
 
     def configuration(self) -> str:
-        """Of the session, in JSON. It does not scout by itself, and stamps messages as nodes
-        that query latched ones need it."""
+        """Return the configuration of the session, in JSON. The session does not scout, and it adds
+        the timestamps that other nodes need to query latched messages."""
         tls_options = {
             "root_ca_certificate": self.ca_file,
             "connect_certificate": self.cert_file,
@@ -71,7 +71,7 @@ class Router:
 
 
 class ZenohNode:
-    """Topics and services are made before `run`."""
+    """A ROS 2 node on Zenoh. Create its topics and services before `run`."""
 
     def __init__(
         self,
@@ -81,7 +81,8 @@ class ZenohNode:
         router: Router,
         distribution: Distribution = "jazzy",
     ) -> None:
-        """`distribution`: of the others. Raises ValueError for a router that cannot be."""
+        """`distribution`: ROS 2 distribution of the other nodes. Raises ValueError if Zenoh rejects
+        the router's settings."""
         self._hashed = distribution != "humble"
         self.name = name
         self.namespace = namespace
@@ -101,33 +102,34 @@ class ZenohNode:
         self._ending = False
 
     def full(self, name: str) -> str:
-        """A name with its namespace, as `remap` has it."""
+        """Return a name with its namespace, replaced by the rules in `remap`."""
         return remapped(self.namespace, self.name, name, self.remap)
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
-        """Of a type of `table.TYPES`."""
+        """Create a publisher. `kind`: a type of `table.TYPES`."""
         self.types.add(kind)
         publisher = Publisher(self.full(name), kind, quality or Quality())
         self._endpoints.append(publisher)
         return publisher
 
     def subscribe(self, name: str, kind: str, take: Take, quality: Quality | None = None) -> None:
-        """As nodes.Node.subscribe."""
+        """Implement `nodes.Node.subscribe`."""
         self.types.add(kind)
         self._endpoints.append(Subscription(self.full(name), kind, quality or Quality(), take))
 
     def serve(
         self, name: str, kind: str, answer: Answer, depth: int = 10, together: int = 1
     ) -> None:
-        """As nodes.Node.serve."""
+        """Implement `nodes.Node.serve`."""
         self.types.update(with_parts(kind))
         service = Service(self.full(name), kind, answer, depth, together)
         self._services.append(service)
         self._endpoints.append(service)
 
     async def run(self) -> None:
-        """Until cancelled. Without a router, and after one was lost, it is asked for again. Of
-        several that share the node one does it for all, and the next one when that one fails."""
+        """Keep the node connected until cancelled, and retry while there is no router. When several
+        adapters share the node, one of them runs it for all; if that one fails, the next one
+        does."""
         async with self._running:
             self._ending = False
             try:
@@ -155,14 +157,15 @@ class ZenohNode:
                     await asyncio.to_thread(_close, session)
 
     def _open(self) -> zenoh.Session:
-        """In a thread: it waits for the network."""
+        """Open the session. Runs in a thread because it waits for the network."""
         session = zenoh.open(zenoh.Config.from_json5(self._configuration))
         if self._ending:
             _close(session)
         return session
 
     async def _use(self, session: zenoh.Session) -> None:
-        """Be there until the session ends. Zenoh itself comes back to a router that was gone."""
+        """Declare the node and its endpoints until the session ends. Zenoh itself reconnects to a
+        router."""
         names = NodeNames(
             domain_id=self._domain_id,
             session_id=str(session.zid()),

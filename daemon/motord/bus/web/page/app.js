@@ -36,7 +36,7 @@ function useTab() {
   useEffect(() => {
     const change = () => setTab(read());
     window.addEventListener("hashchange", change);
-    change();  // it may have changed since the first drawing
+    change();  // the address may have changed since the first drawing
     return () => window.removeEventListener("hashchange", change);
   }, []);
   return tab;
@@ -83,7 +83,7 @@ function pressSpace(event) {
   if (event.type === "keydown" && !event.repeat) estop();
 }
 
-// Not in an effect of the page: the key counts before anything is drawn.
+// Not in an effect of the page: so the key works before anything is drawn.
 window.addEventListener("keydown", pressSpace, true);
 window.addEventListener("keyup", pressSpace, true);
 
@@ -98,7 +98,7 @@ function toggleTheme() {
   try {
     localStorage.setItem("motord.theme", root.dataset.theme);
   } catch {
-    // it lasts as long as the page
+    // storage is switched off: the theme lasts as long as the page
   }
   showTheme();
 }
@@ -140,7 +140,7 @@ function Banner({ askToken }) {
   return null;
 }
 
-/** The key of its text, and its class in style.css. */
+/** State of the connection: the key of its text, and its class in style.css. */
 function connection() {
   if (link.phase === "open") return link.stale ? "stale" : "connected";
   return link.phase === "connecting" ? "connecting" : "lost";

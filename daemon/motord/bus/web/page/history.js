@@ -26,7 +26,7 @@ class Ring {
     this.count += 1;
   }
 
-  /** Time and these series in order, for uPlot: what was not measured is null.
+  /** Returns the time and these series in order, for uPlot; a value that was not measured is null.
    *  Series without a null are typed arrays: an array that may hold null boxes each of its numbers,
    *  thousands of them for each picture. */
   data(names, sinceS) {
@@ -88,7 +88,7 @@ export class History {
     });
   }
 
-  /** Buckets of the loop's lateness that came within the last minute: [low_us, high_us, count]. */
+  /** Adds the loop's lateness; returns the buckets of the last minute: [low_us, high_us, count]. */
   addLateness(latency) {
     const at = performance.now();
     const rows = latency.buckets.lateness;
@@ -102,7 +102,7 @@ export class History {
       .filter(([, , n]) => n > 0);
   }
 
-  /** Everything of the last minute as comma-separated values, with the units in the names. */
+  /** Returns the last minute as comma-separated values, with the units in the names. */
   csv() {
     const joints = this.link.hello.joints;
     const names = Object.keys(this.fast.series);

@@ -34,7 +34,7 @@ function fieldsOf(rows) {
 const words = (bits, names) =>
   Object.entries(names).filter(([bit]) => (bits >>> Number(bit)) & 1).map(([, word]) => word);
 
-/** Makes the decoder of state frames of that layout. */
+/** Returns the decoder of state frames with that layout. */
 export function decoder(layout) {
   const head = fieldsOf(layout.state);
   const joint = fieldsOf(layout.joint);
@@ -80,17 +80,17 @@ function store(key, value) {
 }
 
 export class Link {
-  /** `address`: of the dashboard, such as http://robot:8088. */
+  /** `address`: address of the dashboard, such as http://robot:8088. */
   constructor(address, rateHz) {
     this.address = address;
     this.rateHz = rateHz;
-    this.status = null;       // the daemon's own, about once a second
+    this.status = null;       // of the daemon, about once a second
     this.now = null;          // the newest state
     this.hello = null;
     this.phase = "connecting"; // connecting, open, refused, lost
     this.why = "";
     this.events = [];
-    this.version = 0;         // another number than before: something has changed
+    this.version = 0;         // it changes whenever anything has changed
     this.missed = 0;          // frames that the robot did not send, to keep up
     this.roundTripMs = null;
     this.notDriven = "";
@@ -118,7 +118,7 @@ export class Link {
 
   get token() { return this._token; }
 
-  /** Connect again with it; null: forget it. */
+  /** Connects again with a token; null: forgets the token. */
   setToken(token) {
     this._token = token;
     store(`motord.token.${this.address}`, token);
@@ -223,7 +223,7 @@ export class Link {
     this.events = [...this.events, ...events].slice(-EVENTS_MAX);
   }
 
-  /** A method of the robot. Rejects with an Error that says why not. */
+  /** Calls a method of the robot. Rejects with an Error that has the reason. */
   call(method, params = {}, withinMs = CALL_WITHIN_MS) {
     if (this.phase !== "open") return Promise.reject(new Error("there is no connection"));
     const id = (this._number += 1);
@@ -250,7 +250,7 @@ export class Link {
     else call?.reject(new Error(error));
   }
 
-  /** One command of the hold `press`. */
+  /** Sends one command of the hold `press`. */
   drive(press, { linear, lateral, angular }) {
     const view = new DataView(new ArrayBuffer(45));
     view.setUint8(0, DRIVE);
@@ -260,7 +260,7 @@ export class Link {
     this._send(view.buffer);
   }
 
-  /** This page is shown, and shows the newest state. */
+  /** Reports that this page is visible and shows the newest state. */
   present() {
     const view = new DataView(new ArrayBuffer(17));
     view.setUint8(0, PRESENT);

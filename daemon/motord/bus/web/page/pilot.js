@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sends commands while something is held, and ends that as soon as it may be held no more. What
-// guarantees the stop where this page sends nothing any more is the lease in the daemon. What takes
-// the keyboard or the mouse from a page that is shown and has the focus has to end a hold here: the
-// browser tells the page of no release then, and the page would send for ever.
+// Sends commands while the pad, a key or a button is held, and stops as soon as it may be released.
+// When this page sends nothing any more, the lease in the daemon guarantees the stop. Anything that
+// takes the keyboard or the mouse from a page with the focus has to end a hold here: the browser
+// does not report the release to the page then, and the page would send for ever.
 
 const EVERY_MS = 50;
 
@@ -11,11 +11,11 @@ export class Pilot {
     this.link = link;
     this.press = 0;
     this.holder = null;      // "pad", "keys" or "gamepad"
-    this.share = { linear: 0, lateral: 0, angular: 0 };  // of the limits, -1 to 1
+    this.share = { linear: 0, lateral: 0, angular: 0 };  // parts of the limits, -1 to 1
     this.limiter = 0.4;
     this.released = "";      // why the last hold ended by itself
-    this.onEnd = new Set();  // keys that are still down must not begin another hold
-    // Not in the capturing phase: the pad lets no menu open, so a long touch does not end its hold.
+    this.onEnd = new Set();  // listeners: keys that are still down must not begin another hold
+    // Not in the capturing phase: the pad prevents a menu, so a long touch does not end its hold.
     window.addEventListener("contextmenu", (event) => event.defaultPrevented || this.end("taken"));
     window.addEventListener("dragstart", () => this.end("taken"), true);
     window.addEventListener("beforeprint", () => this.end("taken"));
@@ -27,7 +27,7 @@ export class Pilot {
 
   get held() { return this.holder !== null; }
 
-  /** Metres and radians a second that the shares mean. */
+  /** The command in metres and radians a second. */
   get wanted() {
     const limits = this.link.hello?.limits;
     const part = (key, unit) => (limits ? this.share[key] * this.limiter * limits[unit] : 0);
@@ -52,13 +52,13 @@ export class Pilot {
     this._send();
   }
 
-  /** `holder`: only if it is that one that holds. */
+  /** Ends the hold, if it is that of `holder`. */
   letGo(holder) {
     if (this.holder === holder) this.end("");
   }
 
   end(why) {
-    for (const listener of this.onEnd) listener();  // also where nothing holds: keys may be down
+    for (const listener of this.onEnd) listener();  // also without a hold: keys may be down
     if (this.holder === null) return;
     clearInterval(this._timer);
     this.holder = null;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Before the first paint: the theme that was chosen on this device, else that of the system.
+// Sets the theme before the first paint: the one chosen on this device, otherwise the system's.
 "use strict";
 (() => {
   let theme = null;

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pages have done by processes of their own."""
+"""Work for pages that runs in processes of its own."""

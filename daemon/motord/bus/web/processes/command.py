@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands and modules of motord as processes of their own: they may load packages that motord-bus
-does without, and may be slow."""
+"""Runs commands and modules of motord as processes of their own: they may load packages that
+motord-bus does without, and may be slow."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from motord.bus.commands.gate import NotTaken
 from motord.bus.messages import json_form
 
 NICENESS = 19
-"""Every other process runs first."""
+"""Lowest priority: every other process runs first."""
 
 _log = logging.getLogger(__name__)
 
 
 class TaskOwner:
-    """Of tasks that end with it."""
+    """Base of objects whose tasks end with them."""
 
     _tasks: asyncio.TaskGroup | None = None
 
     async def run(self) -> None:
-        """Until cancelled."""
+        """Keep the group of the tasks until cancelled."""
         async with asyncio.TaskGroup() as self._tasks:
             try:
                 await asyncio.Event().wait()
@@ -39,8 +39,9 @@ class TaskOwner:
 
 
 async def started(what: str, module: str, *arguments: str, **options: Any) -> Process:
-    """`python -m MODULE ARGUMENTS`, with `options` of create_subprocess_exec. Raises NotTaken,
-    which names `what`, where this machine has no process, memory or descriptor left for it."""
+    """Start `python -m MODULE ARGUMENTS`, with `options` of create_subprocess_exec. Raises
+    NotTaken, which names `what`, if this machine has no process, memory or descriptor left for
+    it."""
     command = (sys.executable, "-m", module, *arguments)
     try:
         return await asyncio.create_subprocess_exec(*command, **options)
@@ -53,8 +54,8 @@ async def started(what: str, module: str, *arguments: str, **options: Any) -> Pr
 async def running(
     *arguments: str, module: str = "motord", stdin: int = DEVNULL
 ) -> AsyncIterator[Process]:
-    """`python -m MODULE ARGUMENTS`, with pipes from its output; killed at the end if it still
-    runs. Raises NotTaken where it cannot be started."""
+    """Run `python -m MODULE ARGUMENTS`, with pipes from its output; kill it at the end if it still
+    runs. Raises NotTaken if it cannot be started."""
     what = f"motord {arguments[0]}" if arguments else "a process for the request"
     child = await started(what, module, *arguments, stdin=stdin, stdout=PIPE, stderr=PIPE)
     try:
@@ -68,8 +69,8 @@ async def running(
 
 
 async def answer(*arguments: str, within_s: float) -> Any:
-    """What `motord ARGUMENTS --json` prints, whatever its exit status. Raises NotTaken where it
-    cannot be started, and where it prints an error or nothing that can be read."""
+    """Return what `motord ARGUMENTS --json` prints, whatever its exit status. Raises NotTaken if it
+    cannot be started, and if it prints an error or nothing that can be read."""
     try:
         async with within(within_s), running(*arguments, "--json") as child:
             found, words = await child.communicate()
@@ -84,7 +85,7 @@ async def answer(*arguments: str, within_s: float) -> Any:
 
 
 async def asked(module: str, request: Mapping[str, Any], *, within_s: float) -> Any:
-    """What that module answers to a request on its standard input, both in JSON. Raises
+    """Return what a module answers to a request on its standard input, both in JSON. Raises
     NotTaken."""
     try:
         async with within(within_s), running(module=module, stdin=PIPE) as child:
@@ -98,7 +99,8 @@ async def asked(module: str, request: Mapping[str, Any], *, within_s: float) -> 
 
 
 def _decoded(found: bytes, what: str) -> Any:
-    """Raises NotTaken for what is no JSON: the process was killed while it printed, perhaps."""
+    """Decode an answer. Raises NotTaken for output that is no JSON: the process was killed while it
+    printed, perhaps."""
     try:
         return json_form.decode(found)
     except ValueError as error:
@@ -107,6 +109,6 @@ def _decoded(found: bytes, what: str) -> Any:
 
 
 def reason(words: bytes, command: str) -> str:
-    """Why it failed, from its standard error."""
+    """Return why a command failed, from its standard error."""
     text = words.decode(errors="replace").strip().removeprefix("Error: ")
     return text or f"motord {command} failed"

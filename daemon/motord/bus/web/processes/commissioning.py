@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A guided procedure that a page conducts: one at a time. It runs in a process of its own, which
-may load what this one does without, and commands the daemon by itself
-(motord/commission/page/procedure.py). This is the relay between it and its page.
+may load packages that this one does without, and commands the daemon by itself
+(motord/commission/page/procedure.py). This module passes messages between it and its page.
 
 The page guards what moves: the procedure ends at rest when the page stops it, is hidden or closed,
 or is silent. While a question is open the robot rests without power, and the page may be away.
@@ -33,9 +33,10 @@ if TYPE_CHECKING:
 SHOWN_MAX = 200
 LINE_BYTES_MAX = 1 << 20
 ENDS_WITHIN_S = 25.0
-"""After a stop: the longest stop that a robot file may have, and the power-off."""
+"""Time for a procedure to end after a stop: the longest stop that a robot file may have, and the
+power-off."""
 ABANDONED_S = 900.0
-"""For how long a question waits for its page to come back."""
+"""How long a question waits for its page to come back."""
 LOOK_EVERY_S = 0.5
 BUFFERED_MAX = 16384
 FAILED = "the procedure failed: see the log of motord-bus"
@@ -44,7 +45,8 @@ _log = logging.getLogger(__name__)
 
 
 class Commissioning:
-    """`publish` is called whenever `record` has changed, `progress` with a new text of it."""
+    """Runs procedures for pages. `publish` is called whenever `record` has changed, `progress` with
+    each new text about the procedure's progress."""
 
     def __init__(
         self, local_socket: Path, publish: Callable[[], None], progress: Callable[[str], None]
@@ -57,21 +59,22 @@ class Commissioning:
         self._left_s: float | None = None
         self._request: dict[str, Any] = {}
         self.owner: Viewer | None = None
-        """The page that conducts it."""
+        """The page that conducts the procedure; None: it is gone, or no procedure was started."""
         self.record: dict[str, Any] | None = None
-        """What pages show: `run`, which no other has, `procedure`, `page`, `shown`, `question`, and
-        `end`, None until it is over. None: there was none."""
+        """What pages show of the newest procedure: `run`, which is unique, `procedure`, `page`,
+        `shown`, `question`, and `end`, which is None until the procedure is over. None: no
+        procedure was started."""
 
     @property
     def running(self) -> str | None:
-        """The procedure that runs now."""
+        """Name of the procedure that runs now; None: no procedure runs."""
         if self.record is None or self.record["end"] is not None:
             return None
         return str(self.record["procedure"])
 
     # -------------------------------------------------------------------------------- from a page
     def start(self, viewer: Viewer, params: Mapping[str, Any]) -> None:
-        """Begin one. Raises NotTaken."""
+        """Begin a procedure. Raises NotTaken."""
         self.require_none()
         what, options = params.get("procedure"), params.get("options", {})
         joints = params.get("joints", [])
@@ -95,7 +98,7 @@ class Commissioning:
         self._publish()
 
     def answer(self, viewer: Viewer, params: Mapping[str, Any]) -> None:
-        """Of its open question. Raises NotTaken."""
+        """Answer the procedure's open question. Raises NotTaken."""
         question = self._of(viewer)["question"]
         if question is None or params.get("number") != question["number"]:
             raise NotTaken("this question is not open any more")
@@ -109,7 +112,7 @@ class Commissioning:
         self._publish()
 
     def stop(self, why: str) -> None:
-        """Have it end at rest."""
+        """Make the procedure end at rest."""
         if self.running is None:
             return
         if self._stopped_s is None:
@@ -117,7 +120,7 @@ class Commissioning:
         self._send({"stop": why})
 
     def take(self, viewer: Viewer) -> None:
-        """Conduct it from this page on, where its own is gone. Raises NotTaken."""
+        """Conduct the procedure from this page on, if its own page is gone. Raises NotTaken."""
         if self.record is None or self.running is None:
             raise NotTaken("no procedure is running")
         if self.owner is not None:
@@ -127,13 +130,14 @@ class Commissioning:
         self._publish()
 
     def present(self, viewer: Viewer, waited_s: float, seen_s: float) -> None:
-        """The page was there so long ago, and has shown a state of that time."""
+        """Report that the page is present. `waited_s`: transit time of the page's message;
+        `seen_s`: time of the newest state that the page has shown."""
         now_s = time.monotonic()
         if viewer is self.owner and -SEEN_AHEAD_S <= now_s - seen_s <= SEEN_MAX_S:
             self._send({"present_s": now_s - waited_s})
 
     def leave(self, viewer: Viewer) -> None:
-        """Its connection has ended."""
+        """Note that the connection of a page has ended."""
         if viewer is not self.owner:
             return
         self.owner, self._left_s = None, time.monotonic()
@@ -144,7 +148,7 @@ class Commissioning:
             self._publish()
 
     def require_none(self) -> None:
-        """Raises NotTaken while one runs."""
+        """Raise NotTaken while a procedure runs."""
         if self.running is not None:
             raise NotTaken(f"{self.running} is running: stop it, or wait for its end")
 
@@ -155,7 +159,7 @@ class Commissioning:
 
     # ------------------------------------------------------------------------------------ at work
     async def run(self) -> None:
-        """Until cancelled. May be run again."""
+        """Carry out the procedures that pages start, until cancelled. May be run again."""
         if self.running is not None:  # when another part of the dashboard failed
             self._end({"good": False, "text": FAILED})
         while True:
@@ -173,7 +177,7 @@ class Commissioning:
         self._publish()
 
     async def _carry_out(self) -> dict[str, Any]:
-        """Raises NotTaken where it cannot be started."""
+        """Run a procedure and return its end. Raises NotTaken if it cannot be started."""
         self._process = process = await started(
             "the procedure", "motord.commission.page.procedure",
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, process_group=0,
@@ -194,7 +198,7 @@ class Commissioning:
         return end[0] if end else {"good": False, "text": FAILED}
 
     async def _follow(self, process: asyncio.subprocess.Process, end: list[dict[str, Any]]) -> None:
-        """What it sends, until it has ended."""
+        """Take what the procedure sends, until it has ended."""
         assert process.stdout is not None
         assert self.record is not None
         while message := await _next(process.stdout):
@@ -211,7 +215,7 @@ class Commissioning:
             self._publish()
 
     async def _watch(self, process: asyncio.subprocess.Process) -> None:
-        """End one that does not end, or whose page does not come back."""
+        """Stop a procedure whose page does not come back, and kill one that does not end."""
         while True:
             await asyncio.sleep(LOOK_EVERY_S)
             now_s = time.monotonic()
@@ -228,7 +232,8 @@ class Commissioning:
         self.record["shown"] = [*self.record["shown"], message][-SHOWN_MAX:]
 
     def _send(self, message: Mapping[str, Any]) -> None:
-        """Never waits: a procedure that does not read takes its page for silent, and ends."""
+        """Send a message without waiting: a procedure that does not read takes its page for silent,
+        and ends."""
         if self._process is None or self._process.stdin is None:
             return
         transport = self._process.stdin.transport
@@ -237,7 +242,7 @@ class Commissioning:
 
 
 async def _next(output: asyncio.StreamReader) -> dict[str, Any] | None:
-    """What a procedure sends next; None: its end."""
+    """Return what a procedure sends next; None: its end."""
     try:
         line = await output.readline()
         message = json_form.decode(line) if line else None
@@ -250,7 +255,7 @@ async def _next(output: asyncio.StreamReader) -> dict[str, Any] | None:
 
 
 async def _ended(process: asyncio.subprocess.Process) -> None:
-    """The end of its stdin stops it. What it still sends is read, or it could not end."""
+    """End a procedure by the end of its stdin. What it still sends is read, or it could not end."""
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.close()

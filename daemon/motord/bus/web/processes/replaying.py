@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings run through the core again by `motord replay`, one at a time, in a process of the
+"""Runs recordings through the core again by `motord replay`, one at a time, in a process of the
 lowest priority: this process must not load the core."""
 
 from __future__ import annotations
@@ -15,24 +15,25 @@ from motord.bus.web.processes.command import TaskOwner, answer
 WITHIN_S = 1800.0
 WAITING_MAX = 4
 KEPT_MAX = 100
-"""Outcomes; the oldest goes."""
+"""Largest number of outcomes that are kept; the oldest is dropped."""
 
 Key = tuple[str, str]
 """Section and name of a recording."""
 
 
 class Replays(TaskOwner):
-    """What each recording's replay does, or has found."""
+    """Replays of recordings, and their outcomes."""
 
     def __init__(self, changed: Callable[[], None]) -> None:
         self.found: dict[Key, dict[str, Any]] = {}
-        """{"state": "waits" or "runs"}, {"outcome": ...} or {"problem": why}."""
+        """State of each recording's replay: {"state": "waits" or "runs"}, {"outcome": ...} or
+        {"problem": why}."""
         self._changed = changed
         self._one = asyncio.Lock()
         self._running: dict[Key, asyncio.Task[dict[str, Any]]] = {}
 
     def start(self, key: Key, path: Path) -> None:
-        """Raises NotTaken."""
+        """Start a replay. Raises NotTaken."""
         if self._tasks is None or key in self._running:
             raise NotTaken("this recording is being replayed already")
         if len(self._running) >= WAITING_MAX:

@@ -20,7 +20,8 @@ LOOKS = ("file.read", "file.check", "file.diff")
 SAVE = "file.save"
 CALLS = (*LOOKS, SAVE)
 MESSAGE_BYTES_MAX = 3 * TOML_BYTES_MAX + 4096
-"""JSON has at most three bytes for one of a robot file, such as \\u00e4 for two."""
+"""Largest message of a page. JSON has at most three bytes for one of a robot file, such as \\u00e4
+for two."""
 MODULE = "motord.commission.page.robot_file"
 WITHIN_S = 30.0
 CHECK_EVERY_S = 0.5
@@ -29,7 +30,8 @@ _SHA256_DIGITS = 64
 
 
 class FileEditor:
-    """`writing` is held while the file is written: by this, and by others."""
+    """Serves the editor. `writing` is a lock that is held while the file is written, here and
+    elsewhere."""
 
     def __init__(self, runtime: Runtime, writing: asyncio.Lock) -> None:
         self._runtime, self._writing = runtime, writing
@@ -38,7 +40,7 @@ class FileEditor:
         self._began_s = -CHECK_EVERY_S
 
     async def serve(self, method: str, params: Mapping[str, Any]) -> dict[str, Any]:
-        """The answer of the process. Raises NotTaken and ClientError."""
+        """Return the answer of the process. Raises NotTaken and ClientError."""
         request = _request(method, params)
         if self._waiting >= WAITING_MAX:
             raise NotTaken("too many pages check the robot file: try again")
@@ -69,7 +71,7 @@ class FileEditor:
 
 
 def _request(method: str, params: Mapping[str, Any]) -> dict[str, Any]:
-    """What the process is sent. Raises NotTaken."""
+    """Return what the process is sent. Raises NotTaken."""
     request: dict[str, Any] = {"do": method.removeprefix("file.")}
     if method != "file.read":
         text = params.get("text")

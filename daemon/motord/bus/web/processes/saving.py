@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Saves limits by `motord params save`: one implementation."""
+"""Saves limits by `motord params save`, so that there is one implementation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ WITHIN_S = 30.0
 
 
 async def save(local_socket: Path, *, dry_run: bool) -> dict[str, Any]:
-    """What was saved, or would be: the answer of the command. Raises NotTaken with its reason."""
+    """Save the limits, or with `dry_run` only compare; return the answer of the command. Raises
+    NotTaken with its reason."""
     how = "--dry-run" if dry_run else "--yes"
     place = ("--socket", str(local_socket))
     found: dict[str, Any] = await answer("params", "save", how, *place, within_s=WITHIN_S)

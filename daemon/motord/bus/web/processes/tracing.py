@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exchanges of a line, live, by `motord trace`: a process runs as long as a page shows that
-line, one for all pages that do."""
+"""Shows the exchanges of a line, live, by `motord trace`: a process runs as long as a page shows
+that line, one for all pages that do."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ from motord.bus.web.viewer import Viewer
 SEND_EVERY_S = 0.2
 END_WITHIN_S = 5.0
 ROWS_MAX = 40
-"""In one message: a person reads no more."""
+"""Largest number of rows in one message: a person reads no more."""
 KEPT_MAX = 2000
-"""Between two messages."""
+"""Largest number of rows that are kept between two messages."""
 USUAL = frozenset(("ok", "in", "out", "broadcast", "part of a frame"))
-"""Results that are no failure: motord.tools.trace.exchanges.Words. Pages get them as `failed`."""
+"""Results that are no failure: motord.tools.trace.exchanges.Words. Rows with any other result have
+`failed` true."""
 
 Row = dict[str, Any]
 
 
 @dataclass(eq=False)
 class _Look:
-    """At one line."""
+    """The trace of one line, and the pages that show it."""
 
     line: str
     viewers: set[Viewer] = field(default_factory=set)
@@ -43,14 +44,15 @@ class _Look:
 
 
 class Traces(TaskOwner):
-    """Of all lines."""
+    """The traces of all lines."""
 
     def __init__(self, local_socket: Path) -> None:
         self._place = ("--socket", str(local_socket))
         self._looks: dict[str, _Look] = {}
 
     def show(self, viewer: Viewer, line: str) -> None:
-        """Show it from now on, instead of what that page was shown before."""
+        """Show a page the exchanges of a line from now on, instead of those that it was shown
+        before."""
         self.leave(viewer)
         if self._tasks is None:
             return
@@ -61,7 +63,7 @@ class Traces(TaskOwner):
         look.viewers.add(viewer)
 
     def leave(self, viewer: Viewer) -> None:
-        """Stop showing it to that page."""
+        """Stop showing exchanges to a page."""
         for line, look in tuple(self._looks.items()):
             look.viewers.discard(viewer)
             if not look.viewers:
@@ -70,8 +72,8 @@ class Traces(TaskOwner):
                     look.task.cancel()
 
     async def _follow(self, look: _Look) -> None:
-        """Until no page shows it, or the command ends though pages show the line: the daemon is
-        gone, the line has nothing to trace, or no process can be started."""
+        """Follow a line until no page shows it, or the command ends though pages show the line: the
+        daemon is gone, the line has nothing to trace, or no process can be started."""
         try:
             problem = await self._run(look)
         except NotTaken as error:
@@ -83,7 +85,7 @@ class Traces(TaskOwner):
             del self._looks[look.line]
 
     async def _run(self, look: _Look) -> str:
-        """Returns why the command has ended. Raises NotTaken."""
+        """Run the command, and return why it has ended. Raises NotTaken."""
         async with running("trace", look.line, "--json", *self._place) as child:
             async with asyncio.TaskGroup() as tasks:
                 errors: deque[bytes] = deque(maxlen=1)
@@ -100,7 +102,7 @@ class Traces(TaskOwner):
         if not raw.endswith(b"\n"):  # it was killed in the middle of a line
             return
         row = json.loads(raw)
-        if "result" not in row:  # why it ends
+        if "result" not in row:  # the reason why the command ends
             look.problem = row.get("error", "")
             return
         look.seen += 1
@@ -122,7 +124,8 @@ class Traces(TaskOwner):
 
 
 def chosen(rows: deque[Row]) -> list[Row]:
-    """At most ROWS_MAX in their order: failures first, then the newest of the others."""
+    """Return at most ROWS_MAX rows in their order. Failures are chosen first, then the newest of
+    the others."""
     failed = [place for place, row in enumerate(rows) if row["failed"]]
     others = [place for place, row in enumerate(rows) if not row["failed"]]
     room = ROWS_MAX - len(failed[-ROWS_MAX:])
@@ -131,7 +134,7 @@ def chosen(rows: deque[Row]) -> list[Row]:
 
 
 async def _read(stream: asyncio.StreamReader | None, take: Callable[[bytes], None]) -> None:
-    """Line by line, to its end."""
+    """Read a stream line by line, to its end."""
     assert stream is not None  # it is a pipe
     async for line in stream:
         take(line)

@@ -7,7 +7,7 @@ import { colour } from "./parts.js";
 
 const TRAIL_MAX = 4000;
 const TRAIL_STEP_M = 0.01;
-const AHEAD_S = 0.5;         // an arrow shows how far that speed goes in this time
+const AHEAD_S = 0.5;         // an arrow shows the distance of a speed in this time
 const STEPS_M = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50];
 const GRID_PX = 48;
 
@@ -49,15 +49,15 @@ function arrow(paint, fromX, fromY, toX, toY, width) {
   paint.fill();
 }
 
-/** Where a wheel points, in the base; NaN: nothing measures the angle of what steers it. */
+/** Returns the direction of a wheel in the base; NaN: nothing measures its steering angle. */
 export function directionOf(wheel, hello, now) {
   if (wheel.steered_by === null) return wheel.heading_rad;
   const steering = now.joints[hello.joints.indexOf(wheel.steered_by)];
   return wheel.heading_rad + (steering?.position_rad ?? NaN);
 }
 
-/** What the picture shows of a state, as finely as an eye sees it: the same again needs no
- *  drawing. */
+/** Returns what the picture shows of a state, no finer than an eye can see. The picture is drawn
+ *  again only when this differs. */
 function shownOf(hello, now) {
   const wheels = hello.wheels.map((wheel) => {
     const joint = now.joints[hello.joints.indexOf(wheel.joint)];
@@ -79,7 +79,7 @@ class Painter {
     this.shown = null;
   }
 
-  /** Whether another picture than the one that is drawn shows this state. */
+  /** Returns whether this state needs another picture than the one that is drawn. */
   differs(hello, now) { return !hello || shownOf(hello, now) !== this.shown; }
 
   draw(hello, now, trail) {
@@ -153,7 +153,7 @@ class Painter {
     paint.stroke();
   }
 
-  // x forward is to the right here, y to the left is up: the canvas' y is turned
+  // Forward x is to the right here and left y is up: the canvas' y has the opposite sign.
   _base(hello, now, scale) {
     const { paint } = this;
     const wheels = hello.wheels;
@@ -198,7 +198,7 @@ class Painter {
     if (known) paint.fill();
     else paint.stroke();
     if (wheel.roller_rad !== null) this._rollers(radius, wheel.roller_rad - wheel.heading_rad);
-    const rolls = wheel.joint !== wheel.steered_by;  // a joint that steers does not roll it
+    const rolls = wheel.joint !== wheel.steered_by;  // a joint that steers rolls no wheel
     const ahead = rolls ? radius * AHEAD_S : 0;
     paint.strokeStyle = paint.fillStyle = colour("setpoint");
     arrow(paint, 0, 0, joint.setpoint_rad_s * ahead, 0, 5);

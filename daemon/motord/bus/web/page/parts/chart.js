@@ -10,7 +10,7 @@ const EDGE = { left: 58, right: 12, top: 10, bottom: 40 };
 const COLOURS = 8;
 const finite = (values) => values.filter((value) => value !== null);
 
-/** Round numbers between both, about so many. */
+/** Returns about `count` round numbers from `low` to `high`. */
 function ticks(low, high, count) {
   const rough = (high - low) / count;
   const power = 10 ** Math.floor(Math.log10(rough));
@@ -22,7 +22,7 @@ function ticks(low, high, count) {
   return found;
 }
 
-/** Lowest and highest value with a margin; never nothing. */
+/** Returns the lowest and the highest value with a margin; they always differ. */
 function span(values, withZero = false) {
   const all = withZero ? [0, ...values] : values;
   const low = Math.min(...all);
@@ -31,7 +31,7 @@ function span(values, withZero = false) {
   return [low - margin, high + margin];
 }
 
-/** The same number of metres on both axes for a pixel. */
+/** Returns ranges with the same number of metres for a pixel on both axes. */
 function equalized([x0, x1], [y0, y1], width, height) {
   const scale = Math.max((x1 - x0) / width, (y1 - y0) / height);
   const around = (low, high, length) =>
@@ -74,7 +74,7 @@ function Curve({ series, colour, toX, toY }) {
   return html`<polyline class="${colour} ${series.style}" points=${corners} />`;
 }
 
-/** Series of one thing, before and after, share its colour. */
+/** Returns the subject of a series: those of one subject, before and after, share a colour. */
 const subject = (title) => title.split(", ")[0];
 
 function colours(series) {
@@ -121,7 +121,7 @@ function Bars({ plot }) {
 
 const shown = (value) => (value === null ? "–" : Number(value.toPrecision(3)));
 
-/** The numbers of bars, for those who cannot see them, and to look closer. */
+/** The numbers of the bars as a table, for people who cannot see them, and for exact values. */
 function Numbers({ plot }) {
   const name = `${plot.title}: ${TEXT.values}`;
   return html`<div class="table" tabindex="0" role="region" aria-label=${name}><table>

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// What may stand at the cursor of a robot file, by its JSON Schema. Pure.
+// Finds what may stand at the cursor of a robot file, by its JSON Schema. Pure functions.
 
 import { plain, scan } from "./toml.js";
 
-/** The node itself, behind a reference or an "or nothing". */
+/** Returns the node to which a reference or an "or null" leads. */
 function resolve(schema, node = {}) {
   for (const option of node.anyOf ?? []) if (option.type !== "null") node = { ...node, ...option };
   if (!node.$ref) return node;
@@ -11,8 +11,8 @@ function resolve(schema, node = {}) {
   return { ...schema.$defs[$ref.split("/").at(-1)], ...own };
 }
 
-/** The kind of table that the file has chosen at that path. Where it has not: the table of kinds as
- *  it is. */
+/** Returns the node of the kind of table that the file has chosen at that path; without a choice
+ *  the node of all kinds. */
 function chosen(schema, node, path, valueOf) {
   if (!node.discriminator) return node;
   const { mapping, propertyName } = node.discriminator;
@@ -25,7 +25,7 @@ function child(node, name) {
   return node.properties?.[name] ?? others.find((other) => other && typeof other === "object");
 }
 
-/** The schema of what is at a path; undefined: nothing is known there. */
+/** Returns the schema of what is at a path; undefined: the schema has no such path. */
 function nodeAt(schema, path, valueOf) {
   let node = resolve(schema, schema);
   for (const [at, name] of path.entries()) {
@@ -45,7 +45,7 @@ function choices(node) {
   return node.enum ?? [];
 }
 
-/** What `name` may be where it chooses the kind of its table. */
+/** Returns the values of `name` if it chooses the kind of its table; otherwise undefined. */
 function kindsOf({ discriminator }, name) {
   return discriminator?.propertyName === name ? Object.keys(discriminator.mapping) : undefined;
 }
@@ -58,7 +58,8 @@ function described(label, node, insert) {
   };
 }
 
-/** Values that the text gives, as one table sees them: of several elements of an array, its own. */
+/** Returns a function for the values in the text, as one table sees them: of several elements of an
+ *  array only its own. */
 function reader(entries, header) {
   return (path) => {
     const name = path.join("\0");
@@ -85,7 +86,7 @@ function headers(schema, whole, end, valueOf) {
     .map(([name, found]) => described(name, found, isMap(found) ? `${name}.` : name));
 }
 
-/** Of a table whose kind is not chosen yet nothing else is known. */
+/** Returns the only known key of a table whose kind is not chosen yet: the one that chooses it. */
 const kindAlone = ({ mapping, propertyName }) =>
   ({ [propertyName]: { enum: Object.keys(mapping) } });
 
@@ -118,8 +119,8 @@ function values(schema, whole, end, valueOf) {
   }));
 }
 
-/** What may replace the text from `from` to `to`: `options`, those that begin with the word at the
- *  cursor first. */
+/** Returns what may replace the text from `from` to `to`: `options`, first those that begin with
+ *  the word at the cursor. */
 export function complete(schema, text, cursor) {
   const { end } = scan(text.slice(0, cursor));
   const whole = scan(text);
@@ -142,7 +143,7 @@ export function complete(schema, text, cursor) {
   };
 }
 
-/** What the schema says of the key at the cursor; null: nothing. */
+/** Returns the schema's description of the key at the cursor; null: there is no description. */
 export function explain(schema, text, cursor) {
   const { entries } = scan(text);
   const entry = entries.filter(({ from, to }) => from <= cursor && cursor <= to).at(-1);

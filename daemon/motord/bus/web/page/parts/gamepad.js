@@ -8,15 +8,15 @@ const DEAD_ZONE = 0.12;
 const DEAD_MAN_BUTTON = 4;  // left shoulder of the standard gamepad
 
 const zone = (value) => {
-  if (!(Math.abs(value) > DEAD_ZONE)) return 0;  // NaN and an axis that is missing, too
+  if (!(Math.abs(value) > DEAD_ZONE)) return 0;  // also for NaN and an axis that is missing
   return (value - Math.sign(value) * DEAD_ZONE) / (1 - DEAD_ZONE);
 };
 
-/** Its name; empty: none is connected. */
+/** Returns the name of the gamepad; empty: no gamepad is connected. */
 export function useGamepad(pilot, lateral) {
   const [name, setName] = useState("");
   useEffect(() => {
-    let ready = null;    // the pad whose button was seen released: it may begin a hold
+    let ready = null;    // the pad whose button was released before: only this one may begin a hold
     let holding = null;
     const look = () => {
       const found = [...navigator.getGamepads()].find((pad) => pad?.connected);

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// What several pages are made of.
+// Parts that several pages use.
 
 import { html, useEffect, useState } from "../vendor/htm-preact.js";
 import { SYMBOLS, TEXT } from "../text.js";
 
-/** Renders again when the robot has something new, at most so often. */
+/** Renders again when the robot has something new, at most once in `everyMs`. */
 export function useLink(link, everyMs = 200) {
   const [, render] = useState(0);
   useEffect(() => {
@@ -38,7 +38,7 @@ export function Rows({ rows }) {
   </dl>`;
 }
 
-/** Buttons that call the robot, and why a call failed. */
+/** Returns a function that calls the robot, and the reason why a call failed. */
 export function useCall(link) {
   const [problem, say] = useState("");
   const call = async (method, title, params, withinMs) => {
@@ -54,7 +54,7 @@ export function useCall(link) {
   return [call, html`<p class="problem" role="alert">${problem}</p>`];
 }
 
-/** Arm, disarm, stop, reset: what the state allows is prominent. */
+/** Buttons to arm, disarm, stop and reset; those that the state allows are prominent. */
 export function Actions({ link }) {
   const [call, problem] = useCall(link);
   const state = link.now?.state;
@@ -78,7 +78,7 @@ export function Choice({ label, value, options, onChange }) {
     </select></label>`;
 }
 
-/** What changes in a file, as `diff -u` shows it. */
+/** Shows what changes in a file, as `diff -u` does. */
 export function Difference({ text }) {
   const kind = (row) => (row.startsWith("+") ? "added" : row.startsWith("-") ? "removed" : "");
   return html`<pre class="diff" tabindex="0">${text.trimEnd().split("\n").map((row) =>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a TOML text that is being written (https://toml.io/en/v1.0.0): what is not finished, or
-// wrong, ends with its line.
+// Reads a TOML text that is being written (https://toml.io/en/v1.0.0): a part that is not finished,
+// or wrong, ends with its line.
 
 const anyOf = (...patterns) => patterns.map(({ source }) => source).join("|");
 
@@ -13,11 +13,11 @@ const MARK = /[\n[\]{}=.,]/;
 const TOKEN = new RegExp(`(${SKIPPED.source})|(${WRITTEN})|(${MARK.source})`, "y");
 const HEADER = /\[{1,2}[ \t]*[A-Za-z_][^\n=,"']*\][ \t\r]*(?:#[^\n]*)?(?:\n|$)/;
 const KEY = /[A-Za-z_][\w.-]*[ \t]*=/;
-/** At the beginning of a line: no element of an array looks like that, so one above was not
- *  closed. */
+/** Matches at the beginning of a line what no element of an array looks like: an array above it was
+ *  not closed. */
 const ANEW = new RegExp(anyOf(HEADER, KEY), "y");
 
-/** The text of a key or of a string, as far as it is written. */
+/** Returns the text of a key or of a string, as far as it is written. */
 export function plain(word) {
   const mark = word[0];
   if (mark !== '"' && mark !== "'") return word;
@@ -25,7 +25,8 @@ export function plain(word) {
 }
 
 /**
- * `tables`: their paths, in order.
+ * Returns `tables`, `entries` and `end`.
+ * `tables`: paths of the tables, in order.
  * `entries`: keys with a value: `path` and that of the `table` around it, `header` (the number of
  * tables before it), `value` as it is written, `from`, `to`.
  * `end`: what the text ends in: `mode` ("key", "header", "value" or ""), `table` or `path`, the

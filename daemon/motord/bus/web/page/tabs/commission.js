@@ -14,8 +14,8 @@ const NO_STOP = ["Tab", "Shift", "Control", "Alt", "Meta", " "];  // the space b
 const mayMove = ({ commissioning: record }) =>
   Boolean(record) && record.end === null && record.question === null;
 
-/** The dead man: the page is present while it is shown and has the focus. The end of that ends a
- *  motion at rest. */
+/** The dead-man function: the page is present while it is visible and has the focus. When it is not
+ *  present any more, a motion ends at rest. */
 function usePresence(link) {
   useEffect(() => {
     const stop = (why) => {
@@ -26,11 +26,11 @@ function usePresence(link) {
     const present = () => !document.hidden && document.hasFocus() && conducts() && link.present();
     const listeners = [
       [document, "visibilitychange", () => (document.hidden ? stop("hidden") : present())],
-      [window, "focus", present],  // before the answer that the click on the page may give
+      [window, "focus", present],  // before a click that gives the page the focus gives an answer
       [window, "blur", () => stop("hidden")],
       [window, "pagehide", () => stop("hidden")],
       [window, "keydown", (event) => !NO_STOP.includes(event.key) && stop("key")],
-      // A menu gets the keys: none of them would stop it.
+      // A menu takes the keys, so that no key would stop the motion.
       [window, "contextmenu", () => stop("key")],
       [window, "dragstart", () => stop("key")],
     ];
@@ -114,7 +114,7 @@ function Question({ question, yours, answer, problem }) {
   const open = yours && !sent;
   const give = async (given) => {
     setSent(true);
-    if ((await answer(given)) === undefined) setSent(false);  // it was not taken
+    if ((await answer(given)) === undefined) setSent(false);  // the answer was not taken
   };
   const send = (event) => { event.preventDefault(); if (!wrong) give(value); };
   const choice = (text, given, main) => html`

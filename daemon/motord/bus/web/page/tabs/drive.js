@@ -37,8 +37,8 @@ function useKeys(pilot) {
       if (pilot.holder === "keys") pilot.end("taken");
     };
     const down = (event) => {
-      // It may open a menu of the browser or of the system, which gets the keyup. macOS sends none
-      // while Meta is down.
+      // The key may open a menu of the browser or of the system, which gets the keyup. macOS sends
+      // no keyup while Meta is down.
       if (!(event.code in KEYS) || event.ctrlKey || event.metaKey || event.altKey) return take();
       if (typing(event.target)) return;
       if (event.target.matches?.("input[type=range]") && event.code.startsWith("Arrow")) return;
@@ -51,7 +51,7 @@ function useKeys(pilot) {
       if (event.metaKey) take();
       else if (held.delete(event.code)) hold();
     };
-    // Firefox: with Shift, its menu opens without an event.
+    // Firefox opens its menu without an event when Shift is down.
     const button = (event) => event.button !== 0 && take();
     const forget = () => held.clear();
     const listeners =
@@ -68,7 +68,7 @@ function useKeys(pilot) {
 
 function Pad({ pilot, sideways }) {
   const pad = useRef(null);
-  const pointer = useRef(null);  // the one that was put on the pad last
+  const pointer = useRef(null);  // the pointer that touched the pad last
   const share = (event) => {
     const box = pad.current.getBoundingClientRect();
     const radius = box.width / 2;
@@ -92,7 +92,7 @@ function Pad({ pilot, sideways }) {
   };
   const up = () => pilot.letGo("pad");
   useEffect(() => {
-    // Not as onLostPointerCapture: Preact takes the "Capture" off, and never calls the listener.
+    // Not as onLostPointerCapture: Preact removes the "Capture", and never calls the listener.
     pad.current.addEventListener("lostpointercapture", up);
     return up;
   }, [pilot]);
@@ -115,7 +115,7 @@ function Pad({ pilot, sideways }) {
   </div>`;
 }
 
-/** What the pad's user should know now. */
+/** Returns the notice for the user of the pad. */
 function noticeOf(link, pilot) {
   if (!link.mayCommand) return TEXT.watching;
   const powered = ["armed", "moving", "stopping"].includes(link.now.state);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The robot file in an editor: completion by its schema, what `motord check` says at its lines, and
-// the difference before it is saved.
+// The robot file in an editor: completion by its schema, the findings of `motord check` at their
+// lines, and the difference before it is saved.
 
 import { html, useEffect, useLayoutEffect, useRef, useState } from "../vendor/htm-preact.js";
 import { TEXT } from "../text.js";
@@ -10,14 +10,14 @@ import { plain } from "../parts/toml.js";
 
 const CHECK_AFTER_MS = 600;
 const ANSWER_WITHIN_MS = 60000;  // the robot checks for several pages one after the other
-const LINE_PX = 20;              // as style.css has it
+const LINE_PX = 20;              // as in style.css
 const PAD_PX = 8;
 const TAB_COLUMNS = 8;
 const MOVES = ["ArrowLeft", "ArrowRight", "Home", "End", "PageUp", "PageDown"];
 const HELP = "file-help";
 const LIST = "file-completion";
 
-/** What is being written outlives the visit of another page of the dashboard. */
+/** The text being written. It stays while another page of the dashboard is shown. */
 const draft = { base: null, text: "" };
 const changed = () => draft.base !== null && draft.text !== draft.base.text;
 
@@ -27,7 +27,7 @@ function loaded({ file, sha256, text }) {
 }
 const onDisk = () => draft.text.replaceAll("\n", draft.base.lineEnd);
 
-/** As a person types it: the browser's undo takes it back. */
+/** Replaces text as if a person typed it, so that the browser can undo it. */
 function replace(area, from, to, text) {
   area.focus();
   area.setSelectionRange(from, to);
@@ -44,7 +44,7 @@ function useSchema() {
   return schema;
 }
 
-/** Whether a completion is worth showing while a person types. */
+/** Returns whether a completion is worth showing while a person types. */
 const worth = ({ options, word, mode }, typed) => options.length > 0
   && !(options.length === 1 && options[0].label === plain(word))
   && (word !== "" || mode === "value" || typed === "[" || typed === ".");
@@ -101,7 +101,7 @@ function Editor({ area, schema, marks, edited, compare }) {
     return setFound(now);
   };
   const count = () => setLines(area.current.value.split("\n").length);
-  useLayoutEffect(() => {  // before a key reaches the area: its text would be the whole draft
+  useLayoutEffect(() => {  // before a key reaches the area and its text replaces the draft
     area.current.value = draft.text;
     count();
   }, []);
@@ -146,7 +146,7 @@ function Editor({ area, schema, marks, edited, compare }) {
   };
   const scrolled = () => {
     gutter.current.scrollTop = area.current.scrollTop;
-    if (found) setFound({ ...found });  // the list goes with its word
+    if (found) setFound({ ...found });  // the list moves with its word
   };
   return html`<div class="editor">
       <div class="gutter" ref=${gutter} aria-hidden="true">
@@ -184,7 +184,7 @@ function Messages({ report, state, go }) {
       ${problems.map(row("error"))}${warnings.map(row("warning"))}</ul>`;
 }
 
-/** Of what the robot has answered to file.diff or file.save: what became of it. */
+/** Returns the kind of outcome that an answer to file.diff or file.save means. */
 function kindOf(found) {
   if (found.changed) return "conflict";
   if (found.problems.length) return "problems";
@@ -192,7 +192,7 @@ function kindOf(found) {
   return found.backup ? "written" : "compared";
 }
 
-/** What became of saving. */
+/** The outcome of saving. */
 function Outcome({ outcome, mayWrite, write, close, keep, discard }) {
   const { kind, found } = outcome;
   const name = found.file.split("/").at(-1);
@@ -225,8 +225,8 @@ function Outcome({ outcome, mayWrite, write, close, keep, discard }) {
   </div>`;
 }
 
-/** `check` at once; `later` when the person has paused. One at a time: what was written meanwhile
- *  is checked after it. */
+/** `check` checks at once, `later` when the person has paused. One check runs at a time; text that
+ *  was written meanwhile is checked after it. */
 function useCheck(call, setReport) {
   const [state, setState] = useState("");
   const running = useRef(false);
@@ -251,7 +251,7 @@ function useCheck(call, setReport) {
   return { state, check, later };
 }
 
-/** An error covers a warning of the same line. */
+/** Returns the marks of the lines; an error replaces a warning of the same line. */
 function marksOf({ warnings = [], problems = [] }) {
   const rows = [
     ...warnings.map(({ line }) => [line, "warning"]),

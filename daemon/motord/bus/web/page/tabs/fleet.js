@@ -10,7 +10,7 @@ import { battery, commander } from "./overview.js";
 const RATE_HZ = 2;
 
 let pressed = 0;
-let missed = [];  // by the newest e-stop for all: robot, and why; kept when the page changes
+let missed = [];  // by the newest e-stop for all: robot and reason; kept when the page changes
 
 async function estop(one) {
   if (one.phase === "refused") throw new Error(TEXT.needsToken);
@@ -19,7 +19,7 @@ async function estop(one) {
   await one.call("estop", {}, ESTOP_WITHIN_MS);
 }
 
-/** `changed` is called for each robot that was not reached, at once. */
+/** Stops all robots. `changed` is called at once for each robot that was not reached. */
 function estopAll(links, changed) {
   const press = (pressed += 1);
   missed = [];

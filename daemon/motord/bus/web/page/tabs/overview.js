@@ -6,7 +6,7 @@ import { TEXT } from "../text.js";
 import { Actions, Card, measure, number, Rows, useCall, useLink } from "../parts/parts.js";
 import { BaseView } from "../parts/base_view.js";
 
-/** Reasons that are worth showing: without those that hold for every robot at rest. */
+/** Returns the reasons worth showing, without those that hold for every robot at rest. */
 function telling(now) {
   const driven = ["moving", "stopping"].includes(now.state);
   const usual = now.state === "armed" ? ["command_stale"] : ["not_armed", "command_stale"];
@@ -107,7 +107,7 @@ function Joints({ link }) {
   <//>`;
 }
 
-/** Where each joint stands: zero is to the right, and an angle turns to the left. */
+/** Shows the angle of each joint: zero is to the right, and positive angles turn to the left. */
 function Dials({ link }) {
   const { hello, now } = link;
   return html`<${Card} className="dials">${hello.joints.map((name, place) => {

@@ -6,9 +6,9 @@ import { TEXT } from "../text.js";
 import { Card, Difference, useCall, useLink } from "../parts/parts.js";
 
 const STEPS = 400;
-const SPAN = 20;  // a slider reaches from a part of the value in force to a multiple of it
+const SPAN = 20;  // a slider goes from 1/20 of the value in force to 20 times that value
 
-/** A slider is logarithmic: a limit may lie anywhere in five decades. */
+/** Returns the range of a slider. It is logarithmic: a limit may lie anywhere in five decades. */
 function range(about, value) {
   const centre = value ?? 10;
   const low = Math.max(about.minimum, centre / SPAN);
@@ -22,7 +22,7 @@ const toValue = ({ low, high }, step) =>
   Number((low * (high / low) ** (step / STEPS)).toPrecision(3));
 
 function Row({ name, about, inForce, value, change }) {
-  const [draft, setDraft] = useState(null);  // what is being typed is no number yet
+  const [draft, setDraft] = useState(null);  // text being typed, which is no number yet
   const span = range(about, inForce);
   const noLimit = value === null;
   const title = name.split(".")[1];

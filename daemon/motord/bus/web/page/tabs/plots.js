@@ -18,11 +18,11 @@ const JOINT_PLOTS = [
   ["voltage", "v", ["voltage"]],
 ];
 
-const sheet = document.createElement("link");  // here alone: the first paint does not wait for it
+const sheet = document.createElement("link");  // only here: the first paint does not wait for it
 Object.assign(sheet, { rel: "stylesheet", href: "vendor/uPlot.css" });
 document.head.append(sheet);
 
-/** What is plotted: title, unit, ring and its series with label, colour and dash. */
+/** Returns what is plotted: title, unit, ring and its series with label, colour and dash. */
 export function plotsOf(hello, status) {
   const base = [["linear", "linear_m_s", "m_s"], ["angular", "angular_rad_s", "rad_s"]];
   if (hello.limits.lateral_m_s > 0) base[0].push(["lateral_m_s", TEXT.lateral]);
@@ -158,7 +158,7 @@ function Lateness({ link, history }) {
         const middles = shown.map(([low, high]) => Math.max(0.1, (low + high) / 2));
         if (!ended) chart.setData([middles, shown.map(([, , n]) => n)]);
       } catch {
-        // no connection: the page shows that
+        // no connection: the page shows this state
       }
     };
     look();

@@ -25,7 +25,7 @@ function Recorder({ recorder, link, change }) {
   </div>`;
 }
 
-/** What a replay has found: the ticks that differ, field by field. */
+/** Shows what a replay has found: the ticks that differ, field by field. */
 function Outcome({ outcome, joints }) {
   const { ticks, seconds, checkpoints, gaps, skipped, differences } = outcome;
   const whole = TEXT.replayed(ticks, number(seconds, 1), checkpoints, gaps, skipped);
@@ -77,7 +77,7 @@ export function Recordings({ link }) {
   const [found, setFound] = useState(NOTHING);
   const [call, problem] = useCall(link);
   const open = link.phase === "open";
-  // Without a connection: the page shows that.
+  // An error means that there is no connection, which the page shows.
   const look = () => link.call("recordings").then(setFound, () => {});
   useEffect(() => {
     if (!open) return undefined;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The exchanges of a line as they come. The robot traces only while this is shown.
+// Shows the exchanges of a line as they happen. The robot traces only while this is visible.
 
 import { html, useEffect, useState } from "../vendor/htm-preact.js";
 import { TEXT } from "../text.js";
@@ -21,7 +21,7 @@ const textOf = (row) =>
 const replyAfter = ({ reply_us }) =>
   reply_us === null ? "" : `${number(reply_us / 1000, 2)} ms`;
 
-/** Whether the person sees this page of the browser. */
+/** Returns whether this page of the browser is visible. */
 function useVisible() {
   const [visible, setVisible] = useState(!document.hidden);
   useEffect(() => {
@@ -62,7 +62,7 @@ export function Trace({ link }) {
     call("trace", TEXT.trace, { line });
     return () => {
       stop();
-      link.call("trace", { line: null }).catch(() => {});  // a page that is gone is shown nothing
+      link.call("trace", { line: null }).catch(() => {});  // without a connection it has ended
     };
   }, [looks, line]);
   const choose = (name) => {
