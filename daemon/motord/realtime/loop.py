@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The daemon's interface to the C core: its configuration, the real-time loop, the state page.
 
-Names and units are those of csrc/api/api.h, which holds the meaning of each field. All times are
-CLOCK_MONOTONIC in nanoseconds. Nothing here waits for longer than one period of the loop.
+Names and units are those of csrc/api/api.h, which has the meaning of each field. All times are
+CLOCK_MONOTONIC in nanoseconds. No call waits for longer than one period of the loop.
 """
 
 from __future__ import annotations

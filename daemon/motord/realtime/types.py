@@ -217,7 +217,7 @@ class LoopSettings:
 
     rate_hz: float
     priority: int
-    """SCHED_FIFO 1..99; 0: SCHED_OTHER."""
+    """Priority 1..99 with SCHED_FIFO; 0: SCHED_OTHER."""
     cpu: tuple[int, ...] = ()
     """CPUs on which the thread may run; empty: all."""
     notify_hz: float = 50.0
@@ -303,7 +303,8 @@ class StopRequests:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Control:
-    """The daemon's control, as levels and counters: `core_control` without the heartbeat."""
+    """The daemon's control of the core, as levels and counters: the struct core_control without
+    its heartbeat."""
 
     armed: bool = False
     stop: bool = False

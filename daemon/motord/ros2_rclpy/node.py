@@ -206,7 +206,7 @@ class Publisher:
             return
         try:
             self._made.publish(bytes(encode(self._kind, message)))
-        except (RuntimeError, ValueError) as error:  # rclpy's own are RuntimeErrors
+        except (RuntimeError, ValueError) as error:  # rclpy raises RuntimeErrors
             self._voice.say(f"{self._kind}: not published: {error}")
 
 

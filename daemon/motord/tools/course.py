@@ -119,7 +119,7 @@ def draw(path: list[tuple[float, float]], columns: int = 64, rows: int = 16) -> 
     """Draw the path from above as text: o is the start, * the path, X the end. A character cell is
     twice as high as wide."""
     xs, ys = [x for x, _ in path], [y for _, y in path]
-    # metres a column; a robot that stood still is one cell, not a division by zero
+    # metres for each column; 1e-9 avoids a division by zero if the robot stood still
     scale = max((max(xs) - min(xs)) / (columns - 1), (max(ys) - min(ys)) / (2.0 * (rows - 1)), 1e-9)
     height = round((max(ys) - min(ys)) / (2.0 * scale)) + 1
     grid = [[" "] * columns for _ in range(height)]

@@ -219,7 +219,7 @@ def staged(robot_file: Path, overrides: Sequence[str] = ()) -> Iterator[Stage]:
         options += ["--priority=1"] if cleanup.enter_context(punctual()) else []
         sim = cleanup.enter_context(start_simulator(robot_file, link_dir=folder, options=options))
         log, socket = folder / "daemon.log", folder / "daemon.sock"
-        # a name of its own: a daemon of the same robot may be running on this machine
+        # its own name, because a daemon of the same robot may run on this machine
         name = f"{robot_file.stem}-{os.getpid()}-{next(_stages)}"
         settings = [*overrides, f"robot.name={name}", *sim.settings]
         cleanup.callback(own_page(name).unlink, missing_ok=True)

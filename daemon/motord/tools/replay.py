@@ -33,12 +33,12 @@ DIFFERENCES_MAX = 50
 
 
 class ReplayError(Exception):
-    """The recording cannot be replayed; the text says why and what to do."""
+    """The recording cannot be replayed; the text contains the reason and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A tick that differs."""
+    """A tick whose results differ from the recorded ones."""
 
     tick: int
     time_s: float

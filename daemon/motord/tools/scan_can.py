@@ -30,7 +30,7 @@ ANSWERS_WITHIN_S = 0.1
 BETWEEN_S = 0.001
 """Time between two requests: a CAN bus of 125 kbit/s carries them, and their answers."""
 CIA402_PROFILE = 402
-"""Device profile number in the low half of object 1000h (CiA 301, 7.5.2.1)."""
+"""Number of the device profile CiA 402, in the low half of object 1000h (CiA 301, 7.5.2.1)."""
 ODRIVE_STATES = range(15)
 """Values of AxisState: 0 (undefined) to 14 (anticogging calibration)."""
 
@@ -75,7 +75,7 @@ class Received:
             if (node := recognise(message)) is not None:
                 self._put(node)
                 return
-        # an identifier of CANopen can look like one of ODrive's
+        # an identifier of CANopen can be equal to one of an ODrive
         canopen = {number for protocol, number in self.nodes if protocol == "CANopen"}
         if message.arbitration_id & 0x7F not in canopen and (node := _odrive(message)):
             self.heartbeats[node.node] += 1
@@ -97,7 +97,7 @@ class Received:
         return {protocol for protocol, _ in self.nodes}
 
 
-# ---------------------------------------------------------------------------- what a frame shows
+# -------------------------------------------------------------------------- recognition of nodes
 def _standard(message: can.Message, low: int, high: int) -> bool:
     return not message.is_extended_id and low < message.arbitration_id <= high
 
@@ -168,7 +168,7 @@ def _moteus(message: can.Message) -> Node | None:
 _CIA402_PROFILES = ("cia402", "cia402-csv", "cia402-torque")
 
 
-# ----------------------------------------------------------------------------- what is requested
+# -------------------------------------------------------------------------------------- requests
 def requests(protocol: str) -> Iterator[can.Message]:
     """Yield a read for each node that the protocol can have."""
     if protocol == "CANopen":  # SDO upload of object 1000h: CiA 301, 7.2.4.3

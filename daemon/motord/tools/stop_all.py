@@ -36,7 +36,8 @@ async def stop_all(robot: Robot, within_s: float) -> tuple[Halted, ...]:
     ProfileError for profiles that cannot be read."""
     name = robot.robot.name
     try:
-        # its daemon may be dead: the port shows whether it lives
+        # a socket that this user may not check does not count, because its daemon may be dead;
+        # if it is not, the locked port of the line shows that
         socket = find_socket(name, barred=False)
     except ClientError:
         pass

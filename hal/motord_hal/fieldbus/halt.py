@@ -37,7 +37,7 @@ async def halt_line(spec: LineSpec) -> list[str]:
     nothing before the stop is sent, and write nothing else. Return a text for each drive whose
     power-off is not confirmed. Raise PortError if the line cannot be opened."""
     if spec.kind == "pwm":
-        from motord_hal.pwm.pins import rest_pins  # a robot loads only the lines that it has
+        from motord_hal.pwm.pins import rest_pins  # imported only if there is such a line
 
         return await rest_pins(spec)
     events = _Events()
@@ -51,7 +51,7 @@ async def halt_line(spec: LineSpec) -> list[str]:
     if events.lost and not events.opened:
         raise PortError(events.lost)
     for names, text in events.left_on.items():
-        if names not in _drives_that_report(spec):  # for such a drive its own report counts
+        if names not in _drives_that_report(spec):  # if it can report, its report counts
             problems.setdefault(names, text)
     return list(problems.values())
 
@@ -85,7 +85,7 @@ class _Events:
     lost: str = ""
     """Reason why the medium is lost or cannot be opened; empty: it is neither."""
     left_on: dict[tuple[str, ...], str] = field(default_factory=dict)
-    """Names of a drive's joints → why it may still have power."""
+    """Names of a drive's joints → reason why the drive may still have power."""
 
     def take(self, event: LineEvent) -> None:
         self.first.set()

@@ -67,7 +67,7 @@ class LineTask(abc.ABC):
         self._reopened = 0
         self._backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
 
-    # ------------------------------------------------------------------------------- its own medium
+    # ----------------------------------------------------------------------------------- the medium
     @abc.abstractmethod
     async def _open_medium(self) -> str:
         """Open the medium, with a deadline; return the text of its event. Raise HalError on
@@ -129,7 +129,7 @@ class LineTask(abc.ABC):
         for drive in self._drives:
             drive.lose(error)
 
-    # --------------------------------------------------------------------------- what it reports
+    # ------------------------------------------------------------------------------------ events
     def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
         self._listener(LineEvent(kind, self.spec.name, joints, text))
 
@@ -176,7 +176,7 @@ class DriveLine(LineTask, Generic[AnyDrive]):
             text = f"{self.spec.name}: {', '.join(drive.names)} not switched off at the end"
             self._say(EventKind.DRIVE_LEFT_ON, drive.names, ": ".join(filter(None, (text, why))))
 
-    # --------------------------------------------------------------------------------- its engine's
+    # -------------------------------------------------------------------------- parts of the engine
     @abc.abstractmethod
     def _setpoints_ns(self) -> int:
         """Return the stamp of the newest set-points."""
@@ -198,7 +198,7 @@ class DriveLine(LineTask, Generic[AnyDrive]):
     async def read_register(self, joint: str, register: str) -> float:
         """Implement `ports.Line.read_register`."""
 
-    # ---------------------------------------------------------------------------------- its orders
+    # ------------------------------------------------------------------------------------ commands
     async def arm(self) -> None:
         """Implement `ports.Line.arm`. If one drive cannot be armed, disarm all."""
         await self._be_ready_to_arm()

@@ -51,7 +51,7 @@ def present_positions(channels: Iterable[Channel]) -> Iterator[Step]:
 
 
 class Plan:
-    """One drive with one or more joints on its channels."""
+    """Converts the values of one drive, which has one or more joints on its channels."""
 
     def __init__(self, joints: Iterable[JointSpec]) -> None:
         self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))

@@ -28,10 +28,10 @@ class EdgesEncoder:
 
     gpio_chip: str
     a: str
-    """The line's name, or its number on the chip."""
+    """Name of the GPIO line of signal A, or its number on the chip; `b` likewise for signal B."""
     b: str
     pull: str
-    """"none", "up" or "down"."""
+    """Pull resistor of both lines: "none", "up" or "down"."""
     rad_per_count: float
     """Angle of the wheel for one count (one edge); positive if the count grows when the wheel turns
     forward."""
@@ -152,7 +152,7 @@ class TextWheel:
     """Geometry of a wheel, for boards that take the base's speed and turn rate."""
 
     side: float
-    """-1 left, 1 right."""
+    """Side of the base on which the wheel is: -1 left, 1 right."""
     radius_m: float
     counts_per_turn: int = 0
     """Counts for one turn of the motor's shaft, to convert a distance into counts; 0: there is no
@@ -161,7 +161,7 @@ class TextWheel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextSpec:
-    """Templates of a line of text: docs/mcu/line-ascii.md."""
+    """Templates of the lines of text to and from a board (docs/mcu/line-ascii.md)."""
 
     setpoints: str
     feedback: str = ""
@@ -215,22 +215,23 @@ class LineSpec:
     index: int
     name: str
     kind: str
-    """"modbus-rtu" and "ddsm" on a serial port; "modbus-tcp" and "rtu-over-tcp" through a
-    gateway; "can"; "mcu", "ascii", "hoverboard" and "sabertooth" for a board alone on a port."""
+    """"modbus-rtu", "ddsm", "roboclaw", "feetech", "dynamixel" on a serial port; "modbus-tcp" and
+    "rtu-over-tcp" through a gateway; "can"; "pwm"; "mcu", "ascii", "hoverboard" and "sabertooth"
+    for a board alone on a port."""
     port: str
     """A device file, "usb:SERIAL" for the adapter with that serial number, HOST:PORT, or
     INTERFACE:CHANNEL for a CAN bus."""
     baudrate: int
     """Bits a second, for a CAN bus too."""
     parity: str
-    """"none" | "even" | "odd"."""
+    """"none", "even" or "odd"."""
     stop_bits: int
     cycle_hz: float
     """Requested cyclic rate. The line runs slower if the wire cannot carry it, never faster."""
     gap_s: float | None
     """Silent interval between frames; None: as `gap` demands."""
     engine: str
-    """"asyncio" | "rt" | "auto": rt where the line has a serial port or SocketCAN, else asyncio."""
+    """"asyncio", "rt" or "auto": rt if the line has a serial port or SocketCAN, else asyncio."""
     data_baudrate: int | None = None
     """Bits a second in the data of CAN FD frames; None: the CAN bus has classic frames only."""
     gap: Gap | None = None
@@ -240,7 +241,7 @@ class LineSpec:
     priority: int = 70
     """SCHED_FIFO priority of the line's thread (rt engine); 0: ordinary scheduling."""
     cpu: tuple[int, ...] = ()
-    """CPUs of the line's thread (rt engine); none: all."""
+    """CPUs of the line's thread (rt engine); empty: all."""
     joints: tuple[JointSpec, ...]
     text: TextSpec | None = None
     """Templates of the text of a line of kind "ascii"."""

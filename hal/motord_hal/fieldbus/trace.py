@@ -19,7 +19,7 @@ class TraceEntry:
 
     number: int
     stamp_ns: int
-    """CLOCK_MONOTONIC."""
+    """Time at which the bytes were sent or received, CLOCK_MONOTONIC."""
     outward: bool
     """True: sent to the drives; False: received from them."""
     data: bytes

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which joints share a drive."""
+"""Groups the joints of a line by the drive that they share."""
 
 from __future__ import annotations
 

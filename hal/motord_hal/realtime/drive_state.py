@@ -36,7 +36,7 @@ class FaultReason(enum.IntFlag):
 
 
 class Stop(enum.IntEnum):
-    """The stop that a rule demands for a drive."""
+    """The stop that a rule demands for a drive, which the line then has to send."""
 
     NOTHING = lib.STOP_NOTHING
     QUICK = lib.STOP_QUICK

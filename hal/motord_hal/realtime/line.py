@@ -57,7 +57,7 @@ class ThreadSpec:
     de_before_ns: int = 0
     de_after_ns: int = 0
     may_turn: int = 0
-    """Bit n: drive n was armed before the port was opened; it gets a stop first."""
+    """Bit n is 1 if drive n was armed before the port was opened; it then gets a stop first."""
     left_running: bool = False
     """See `LineSpec.left_running`."""
 

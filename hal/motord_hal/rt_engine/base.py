@@ -43,7 +43,7 @@ class ReportingThread(Protocol[ReportOut]):
 
 
 class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
-    """What lines of engine "rt" share, on any medium."""
+    """The part that all lines of the engine "rt" share, on every medium."""
 
     _thread: ReportingThread[Report]
 
@@ -57,7 +57,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
     def engine(self) -> str:
         return "rt"
 
-    # --------------------------------------------------------------------------------- its own port
+    # ------------------------------------------------------------------------------------- the port
     @abc.abstractmethod
     async def _start(self) -> tuple[str, ...]:
         """Open the port, start the thread, take its first report. Return facts for the user, which
@@ -148,7 +148,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
             "it was not confirmed",
         )
 
-    # ---------------------------------------------------------------------------------- its orders
+    # ------------------------------------------------------------------------------------ commands
     def _setpoints_ns(self) -> int:
         return self._take_report().setpoints_ns
 

@@ -16,7 +16,7 @@ FIX_WITHIN_S = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Write:
-    """A fix that writes one value into one file of the kernel; it lasts until the next start."""
+    """A fix that writes a value to a file of the kernel; it lasts until the machine restarts."""
 
     path: Path
     value: str
@@ -59,7 +59,7 @@ Fix = Write | Run
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One line of the report."""
+    """The result of one check: a line of the report."""
 
     group: str
     """"machine", "device", "extra", "drive" or "daemon"."""

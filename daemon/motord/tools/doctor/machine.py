@@ -226,7 +226,7 @@ def _jetson(root: Root) -> Iterator[Finding]:
         yield _machine("power mode", "warn", text, f"sudo nvpmodel -m {full[0]}")
 
 
-# --------------------------------------------------------------------------------- who this user is
+# ---------------------------------------------------------------------------------------- this user
 def user(root: Root) -> str:
     """Return this user's name, for commands; "$USER" if it is not in /etc/passwd."""
     number = root.status("Uid").split()[:1]

@@ -20,7 +20,7 @@ BURNER = Path(__file__).with_name("burner.py")
 IO_PROCESSES = 2
 START_DEADLINE_S = 20.0
 # /var/tmp first: /tmp is in memory on many systems, where fsync does nothing.
-DISK_DIRECTORIES = ("/var/tmp", "/tmp")  # noqa: S108 private directories are made below it
+DISK_DIRECTORIES = ("/var/tmp", "/tmp")  # noqa: S108 private folders are made in it
 
 
 class LoadError(Exception):

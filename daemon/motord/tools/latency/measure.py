@@ -41,7 +41,7 @@ class LatencyOptions:
     rate_hz: float = 1000.0
     seconds: float = 30.0
     priority: int = 80
-    """SCHED_FIFO 1..99; 0: SCHED_OTHER."""
+    """Priority 1..99 with SCHED_FIFO; 0: SCHED_OTHER."""
     cpu: tuple[int, ...] = ()
     load: str = "none"
     suspects: bool = False
@@ -141,7 +141,7 @@ async def measure(
 
 
 class Run:
-    """One measurement."""
+    """Runs one measurement and makes its report."""
 
     def __init__(self, options: LatencyOptions, loop: Loop, rig: Rig, peer: OtherEnd) -> None:
         self.options, self.loop, self.rig, self.peer = options, loop, rig, peer

@@ -103,7 +103,7 @@ def may_be_paused(process: int) -> bool:
     try:
         words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
     except OSError:
-        return False  # it has ended
+        return False  # the process has ended
     if not any(words):
         return False
     return process not in protected and not any(

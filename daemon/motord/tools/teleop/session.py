@@ -56,7 +56,7 @@ class Speeds:
     linear_m_s: float
     angular_rad_s: float
     lateral_m_s: float = 0.0
-    """0: the base does not move sideways."""
+    """Full speed to the left or right; 0: the base cannot move sideways."""
     part: float = 0.3
 
     def step(self, up: bool) -> None:
@@ -138,7 +138,7 @@ class Teleop:
                 self._link.answered(now_s)
             elif key in MOTIONS:
                 motions.append(key)
-            elif not (key.startswith("\x1b[") and key.endswith("n")):  # a report, of any kind
+            elif not (key.startswith("\x1b[") and key.endswith("n")):  # not a report
                 motions.clear()
                 self._dead_man.let_go()
                 self._press(key)

@@ -43,8 +43,8 @@ class Terminal:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:  # fmt: skip
-        with contextlib.suppress(OSError, termios.error):  # it may be closed
-            termios.tcflush(self.fd, termios.TCIFLUSH)  # no key for the shell
+        with contextlib.suppress(OSError, termios.error):  # the terminal may be closed
+            termios.tcflush(self.fd, termios.TCIFLUSH)  # drop keys, which the shell would get
             termios.tcsetattr(self.fd, termios.TCSANOW, self._before)
         os.close(self.fd)
 

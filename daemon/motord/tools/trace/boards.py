@@ -318,7 +318,7 @@ class _Servos:
         return f"{self._name(status.unit)}: {_servo_values(profile, first, status.parameters)}"
 
     def _statuses(self, exchange: Exchange) -> Iterator[servo.Packet | None]:
-        data = exchange.received.removeprefix(exchange.sent)  # an adapter's echo
+        data = exchange.received.removeprefix(exchange.sent)  # without an adapter's echo
         return servo.take_all(self._packets, data, status=True)
 
 

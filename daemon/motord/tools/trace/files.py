@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files for other tools: pcap (Wireshark), candump (can-utils), MCAP (Foxglove).
+"""Writes traces to files for other tools: pcap (Wireshark), candump (can-utils), MCAP (Foxglove).
 
 Sources: libpcap, pcap-savefile(5); Wireshark, epan/exported_pdu.h (LINKTYPE_WIRESHARK_UPPER_PDU).
 """

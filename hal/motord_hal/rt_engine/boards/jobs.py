@@ -22,7 +22,7 @@ WAIT_LEAST_S = 0.25
 
 
 class BoardJobs(OrderJobs):
-    """Jobs of the board of a line."""
+    """Runs the jobs of the board on a line."""
 
     def __init__(
         self, name: str, plan: DrivePlan, layout: Layout, thread: BoardThread, period_s: float

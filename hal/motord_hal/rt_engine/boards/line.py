@@ -77,7 +77,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         """Return the errors that earlier threads and the line itself have counted."""
         return self._errors + Counter({"port": self._losses})
 
-    # --------------------------------------------------------------------------------- its own port
+    # ------------------------------------------------------------------------------------- the port
     async def _start(self) -> tuple[str, ...]:
         self._port = open_port(self.spec)
         self._port.flush()

@@ -53,7 +53,7 @@ def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> 
 
     def number(name: str, form: str) -> Plain:
         found = _FORMAT.fullmatch(form)
-        assert found is not None  # why_not_possible
+        assert found is not None  # why_not_possible has checked it
         precision = found["precision"]
         return {
             "form": _FORMS[found["form"]],
@@ -64,7 +64,7 @@ def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> 
             "number_per_raw": factors[name],
         }
 
-    assert spec.text is not None  # texts_of
+    assert spec.text is not None  # texts_of has checked it
     return _pieces(sent, number, spec.text.prefix)
 
 

@@ -83,7 +83,7 @@ class CanRtDrive(RtDrive):
 
     def _arming_steps(self) -> tuple[Step, ...]:
         plan, arm = self.jobs.plan, self.jobs.profile.arm
-        if plan.profile.goes_to_positions:  # C sends it its own position as long as it rests
+        if plan.profile.goes_to_positions:  # at rest, C sends its present position
             positions = {plan.channel(joint).position or "" for joint in plan.joints}
             known = (Step(register=name, mask=0, equals=0) for name in sorted(positions))
             return (*known, *arm)

@@ -92,7 +92,7 @@ class CanJobs(OrderJobs):
     def ask(self, frame: Frame) -> bool:
         """Request a frame of the drive. Return False if no request was sent."""
         question = self.plan.question(frame)
-        if question is None or question == self.plan.sync:  # the cycle sends it
+        if question is None or question == self.plan.sync:  # the cycle sends a sync
             return False
         return self._order({"packet": packet(question)}, None)
 

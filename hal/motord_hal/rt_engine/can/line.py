@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The CAN line whose cycle runs in C."""
+"""A CAN line whose cycle runs in C."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             stats.errors = dict(self._errors + _errors(report))
         return stats
 
-    # ------------------------------------------------------------------------------- its own medium
+    # ----------------------------------------------------------------------------------- the socket
     async def _start(self) -> tuple[str, ...]:
         identifiers = [
             one for plan in self._plans for one in (*plan.identifiers, *plan.setpoint_identifiers)
@@ -125,7 +125,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
     def _ended(self, report: CanReport) -> PortError | None:
         if self._trouble is not None:
             return self._trouble
-        if self._bus_off.is_off():  # the frame that reports it was lost
+        if self._bus_off.is_off():  # the error frame that reports it was lost
             self._errors["bus_off"] += 1
             return PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
         if not report.running:

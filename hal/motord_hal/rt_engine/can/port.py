@@ -17,11 +17,11 @@ from motord_hal.realtime.can import EXTENDED, REMOTE
 _FILTER = struct.Struct("=II")
 """Layout of struct can_filter: identifier, mask."""
 _CAN_RAW_ERR_FILTER = 2
-"""linux/can/raw.h"""
+"""Socket option from linux/can/raw.h."""
 _CAN_RAW_RECV_OWN_MSGS = 4
-"""linux/can/raw.h"""
+"""Socket option from linux/can/raw.h."""
 _ERRORS_ALL = 0x1FFF_FFFF
-"""linux/can/error.h, CAN_ERR_MASK"""
+"""Mask of all error frames: CAN_ERR_MASK of linux/can/error.h."""
 
 
 def open_socket(

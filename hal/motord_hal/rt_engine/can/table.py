@@ -77,7 +77,7 @@ def drive_table(plan: CanPlan, spec: LineSpec) -> Plain:
     }
 
 
-# --------------------------------------------------------------------------------------- frames out
+# -------------------------------------------------------------------------------------- sent frames
 def packet(sent: Sent) -> Plain:
     """Return a frame as the struct can_packet."""
     remote = REMOTE if sent.remote_bytes is not None else 0
@@ -115,7 +115,7 @@ def _step_writes(plan: CanPlan, steps: Iterable[Step]) -> list[Plain]:
 def _questions(plan: CanPlan, frames: Iterable[Frame]) -> Iterator[Plain]:
     for frame in frames:
         question = plan.question(frame)
-        if question is not None and question != plan.sync:  # the cycle sends it
+        if question is not None and question != plan.sync:  # the cycle sends a sync
             yield packet(question)
 
 
@@ -177,7 +177,7 @@ def _raw_limits(signal: Signal) -> tuple[float, float]:
     return max(ends[0], least), min(ends[1], most)
 
 
-# --------------------------------------------------------------------------------------- frames in
+# --------------------------------------------------------------------------------- received frames
 def _matches(plan: CanPlan, inputs: Sequence[Frame]) -> Iterator[Plain]:
     """Yield the matches that recognise the drive's frames. Replies about objects that the cycle
     does not use go to Python, which decodes them: one match covers them all, after the other

@@ -79,7 +79,7 @@ class DdsmFrames:
         exchanges = len(self.cyclic()) + bool(self.extra())
         return exchanges * (self._exchange_s + self.profile.turnaround_s)
 
-    # -------------------------------------------------------------------------------- in detail
+    # ------------------------------------------------------------------------------------ parts
     def _setpoints(self) -> list[Register]:
         channels = (self.profile.channels[joint.channel] for joint in self.joints)
         return [self.profile.registers[channel.setpoint] for channel in channels]

@@ -121,7 +121,7 @@ class RtDrive(abc.ABC):
     async def _present(self) -> None:
         """Wait until the drive responds, if its medium shows that before the set-up."""
 
-    # --------------------------------------------------------------------------------- what it is
+    # -------------------------------------------------------------------------------------- state
     @property
     def profile(self) -> DriveProfile:
         return self._jobs.profile
@@ -153,10 +153,10 @@ class RtDrive(abc.ABC):
         before = self.mode
         before_reasons = FaultReason(0) if self._report is None else self._report.fault_reasons
         self._report = report
-        if report.cycles:  # else its fault words have not been read
+        if report.cycles:  # before the first cycle no fault word has been read
             for joint in self._jobs.joints:
                 self.faults[joint.name].update(fault_words[joint.index])
-        # states between two looks are not seen: it may have been unresponsive in the first
+        # modes between two reports are not seen: the drive may have been unresponsive meanwhile
         if report.mode is Mode.READY and before not in (Mode.READY, Mode.ARMED):
             self._is_ready()
         elif report.mode in (Mode.UNRESPONSIVE, Mode.BACK):
@@ -179,7 +179,7 @@ class RtDrive(abc.ABC):
             cause = "; ".join(filter(None, (why, self._hint())))
             self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {cause}")
 
-    # -------------------------------------------------------------------------------- its two tasks
+    # -------------------------------------------------------------------------------- the two tasks
     async def keep_set_up(self) -> None:
         """Set the drive up and request READY whenever C reports that it is not set up. Never
         return."""
@@ -192,7 +192,7 @@ class RtDrive(abc.ABC):
                 await self._obeyed(self._thread.request_mode(self._index, Mode.READY))
                 continue
             except PortError:
-                pass  # the line has noticed it, too, and ends this task
+                pass  # the line has also seen it, and ends this task
             except HalError as error:
                 self._failed_setup = True
                 self._is_unresponsive(str(error))
@@ -232,7 +232,7 @@ class RtDrive(abc.ABC):
         except TimeoutError:
             raise HalError(f"{self}: the line's thread does not answer") from None
 
-    # -------------------------------------------------------------------------- what is sent to it
+    # ------------------------------------------------------------------------------------ requests
     def stand_down(self) -> asyncio.Future[None]:
         """Make all set-points zero from now on, end any arming, and start a power-off. Return the
         future of the power-off. Several callers share it: shield it when you wait for it."""

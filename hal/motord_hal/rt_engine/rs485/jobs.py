@@ -14,7 +14,7 @@ from motord_hal.rt_engine.rs485.request_queue import Check, RequestQueue, always
 
 
 class DriveJobs:
-    """Jobs of drive number `index` of the line's table, one request at a time."""
+    """Runs the jobs of drive number `index` of the line's table, one request at a time."""
 
     def __init__(self, index: int, frames: DriveFrames, queue: RequestQueue) -> None:
         self.frames = frames
@@ -28,7 +28,7 @@ class DriveJobs:
 
     @property
     def request_limit_s(self) -> float:
-        """Longest time until a request is on the wire or dropped."""
+        """Longest time until a request is sent or dropped."""
         return self._queue.limit_s
 
     async def run(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial line whose cycle runs in C."""
+"""A serial line whose cycle runs in C."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         self._counters = LineCounters(1.0 / sum(drive.cycle_time_s() for drive in frames))
         self._port: OpenPort | None = None
         self._may_turn = 0
-        """Bit n: drive n was armed when the port was lost."""
+        """Bit n is 1 if drive n may have been moving when the port was lost."""
 
     def stats(self) -> LineStats:
         """Implement `ports.Line.stats`."""

@@ -25,7 +25,7 @@ Check = Callable[[], None]
 
 
 def always() -> None:
-    """The Check of a request that is always allowed."""
+    """Do nothing: the Check of a request that is always allowed."""
 
 
 class _Turn:
@@ -53,7 +53,7 @@ class _Turn:
         finally:
             if not mine.done():
                 waiting.remove(mine)
-            elif not kept:  # it came together with the cancellation
+            elif not kept:  # the turn came together with the cancellation
                 self.give()
         return kept
 

@@ -126,7 +126,7 @@ class ServoFrames:
             read=self._group_head(Instruction.SYNC_READ, self._cyclic.address, self._cyclic.count),
         )
 
-    # ----------------------------------------------------------------------------------- in detail
+    # --------------------------------------------------------------------------------------- parts
     def _group_head(self, code: Instruction, address: int, count: int) -> bytes:
         numbers = self._packets.number(address) + self._packets.number(count)
         return self._packets.build(BROADCAST_UNIT, code, numbers)[: -self._packets.seal_bytes]

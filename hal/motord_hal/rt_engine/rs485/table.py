@@ -53,7 +53,7 @@ def line_table(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineTable:
     """Return the table of a line. C checks it once more and names the first bad field."""
     bits = character_bits(spec.parity, spec.stop_bits)
     return LineTable(
-        echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # it has no echo
+        echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # a RoboClaw's line has no echo
         character_ns=bits * _NS_PER_S / spec.baudrate,
         gap_ns=round(line_gap_s(spec) * _NS_PER_S),
         setpoint_timeout_ns=round(spec.setpoint_timeout_s * _NS_PER_S),
@@ -143,7 +143,7 @@ def _exchange(frames: DriveFrames, planned: PlannedFrame, kept: tuple[Step, ...]
     )
 
 
-# ---------------------------------------------------------------------------------- set-points out
+# --------------------------------------------------------------------------------- sent set-points
 def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineSetpoint]:
     for joint in frames.joints:
         channel = frames.profile.channels[joint.channel]
@@ -210,7 +210,7 @@ def _directions(frames: DriveFrames) -> Iterable[LineDirection]:
     for joint in _direction_joints(frames):
         channel = frames.profile.channels[joint.channel]
         direction = channel.direction
-        assert direction is not None  # _direction_joints
+        assert direction is not None  # _direction_joints has checked it
         levels = (direction.rest, direction.forward, direction.reverse)
         rest, forward, reverse = (frames.writes({direction.register: raw})[0] for raw in levels)
         yield LineDirection(
@@ -223,7 +223,7 @@ def _directions(frames: DriveFrames) -> Iterable[LineDirection]:
         )
 
 
-# -------------------------------------------------------------------------------------- feedback in
+# -------------------------------------------------------------------------------- received feedback
 def _joint_fields(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineField]:
     profile = frames.profile
     for joint in frames.joints:

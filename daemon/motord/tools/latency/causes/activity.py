@@ -13,7 +13,7 @@ from typing import TypeAlias
 Counts: TypeAlias = dict[tuple[str, int, str], int]
 """(Kind, processor, name) → count."""
 KERNEL_THREADS_PARENT = 2
-"""kthreadd, which starts all threads of the kernel."""
+"""Process number of kthreadd, which starts all threads of the kernel."""
 
 
 def counts(root: Path = Path("/")) -> Counts:
