@@ -104,8 +104,7 @@ class ConfigRefused(ValueError):
 
 
 def limits_problem(limits: BaseLimits) -> str | None:
-    """Return the first field that is out of range, for example `linear.velocity_u_s`; None: all are
-    good."""
+    """Return the first field out of range, e.g. `linear.velocity_u_s`; None: all are good."""
     return first_bad(lib.base_limits_check, ffi.new("base_limits *", limits)) or None
 
 
@@ -286,8 +285,7 @@ class Loop:
         )
 
     def open_lease(self, priority: int = 100, lifetime_s: float = 0.3) -> LoopLease:
-        """Make a lease that is the only one from now on, for tools and tests without
-        arbitration."""
+        """Make a lease that is the only one from now on, for tools and tests."""
         return LoopLease(self, priority, lifetime_s)
 
     def put_control(self, control: Control) -> None:
@@ -325,8 +323,7 @@ class Loop:
         return self._event_fd
 
     def drain(self) -> int:
-        """Return the number of notifications since the last call; `fileno()` is then not
-        readable."""
+        """Return the number of notifications since the last call, and clear them."""
         with contextlib.suppress(BlockingIOError):
             return os.eventfd_read(self.fileno())
         return 0
@@ -442,8 +439,7 @@ class LoopLease:
 
 
 def _epoll(fds: tuple[int, ...]) -> select.epoll:
-    """Make the epoll object with which the loop waits for commands. Raise ValueError for too many
-    sockets."""
+    """Make the epoll object that the loop waits on. Raise ValueError for too many sockets."""
     if len(fds) > lib.COMMAND_SOCKETS:
         raise ValueError(f"{len(fds)} sockets for commands, at most {lib.COMMAND_SOCKETS}")
     poller = select.epoll()

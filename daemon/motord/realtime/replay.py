@@ -27,8 +27,7 @@ class Differing:
 
     field: str
     recorded: float | None = None
-    """Recorded value, with the unit in the name of the field; None: there is no finite number for
-    it."""
+    """Recorded value, with the unit in the field's name; None: there is no finite number."""
     replayed: float | None = None
 
 

@@ -187,8 +187,7 @@ class Stage:
             time.sleep(0.05)
 
     def stop_daemon(self) -> bool:
-        """Stop the daemon as a service manager does. Return whether it ended by itself, without an
-        error."""
+        """Stop the daemon as a service manager does. Return whether it ended in time and well."""
         self.daemon.send_signal(signal.SIGTERM)
         try:
             return self.daemon.wait(STOP_DEADLINE_S) == 0
@@ -197,8 +196,7 @@ class Stage:
 
 
 def connect(daemon: subprocess.Popen[bytes], socket: Path, log: Path) -> Client:
-    """Wait until the daemon listens on its socket, and connect to it. Raise DemoError if it does
-    not."""
+    """Connect to the daemon once it listens on its socket. Raise DemoError if it does not."""
     end = time.monotonic() + START_DEADLINE_S
     while daemon.poll() is None and time.monotonic() < end:
         with contextlib.suppress(ClientError):

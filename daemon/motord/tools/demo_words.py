@@ -50,8 +50,7 @@ _WORTH = {
 
 
 def worth(source: Source, score: Score) -> str:
-    """Return how exact this robot's odometry is; if it is an estimate, also its error in this
-    run."""
+    """Return how exact this robot's odometry is; for an estimate, also its error in this run."""
     if source is Source.COUNTERS:
         return _WORTH[source]
     off = (

@@ -57,8 +57,7 @@ class Outcome:
     """Number of recorded states that were compared with the core's whole state."""
     skipped: int = 0
     gaps: int = 0
-    """Number of places where records are missing; the replay goes on from the next recorded
-    state."""
+    """Places where records are missing; the replay goes on from the next recorded state."""
     differing_ticks: int = 0
     first_difference: str | None = None
     differences: list[Difference] = field(default_factory=list)

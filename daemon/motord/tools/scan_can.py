@@ -22,8 +22,7 @@ from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.can.unix_client import UnixClient
 
 LISTEN_S = 2.2
-"""Time to listen for two heartbeats. By default a drive sends ten a second, with CANopen often
-one."""
+"""Time to listen for two heartbeats. The default is ten a second, with CANopen often one."""
 HEARTBEATS_LEAST = 2
 ANSWERS_WITHIN_S = 0.1
 """Time to wait for answers after the last request; drives take a few milliseconds."""

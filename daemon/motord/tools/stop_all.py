@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stops all drives of a robot whose daemon has died: on all lines at the same time, and with a
-deadline."""
+"""Stops all drives of a robot whose daemon has died, on all lines at once, with a deadline."""
 
 from __future__ import annotations
 

@@ -33,8 +33,7 @@ class FaultWatch:
         return self._profile.stopping_faults(self.word)
 
     def update(self, word: int) -> None:
-        """Store the newest fault word; report new faults and warnings, and once that all faults are
-        gone."""
+        """Store the newest fault word; report new faults and warnings, and when all faults end."""
         if word == self.word:
             return
         before = set(self._profile.faults_in(self.word))

@@ -33,8 +33,7 @@ class EdgesEncoder:
     pull: str
     """Pull resistor of both lines: "none", "up" or "down"."""
     rad_per_count: float
-    """Angle of the wheel for one count (one edge); positive if the count grows when the wheel turns
-    forward."""
+    """Angle of the wheel for one count (one edge); positive if turning forward counts up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,8 +63,7 @@ class BoardEncoder:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointSpec:
-    """The data of one joint that its line uses. `index` is the joint's place in the core's
-    arrays."""
+    """The data of one joint for its line. `index` is the joint's place in the core's arrays."""
 
     index: int
     name: str
@@ -79,8 +77,7 @@ class JointSpec:
     inverted: bool = False
     """True if the motor turns backward when the robot drives forward."""
     counts_per_turn: int = 0
-    """Counts for one turn of the motor, for a joint that takes positions; 0: use the value of the
-    profile."""
+    """Counts for one turn of the motor, if the joint takes positions; 0: as in the profile."""
     zero_count: int = 0
     """Value of the position counter at the angle 0 of a joint that takes positions."""
     position_velocity_rad_s: float = 0.0
@@ -102,8 +99,7 @@ class DirectionKind(enum.StrEnum):
     AUTO = "auto"
     """The adapter switches by itself: motord does nothing."""
     KERNEL = "kernel"
-    """The UART's driver switches by RTS (Documentation/driver-api/serial/serial-rs485.rst of the
-    kernel)."""
+    """The UART's driver switches by RTS (Documentation/driver-api/serial/serial-rs485.rst)."""
     GPIO = "gpio"
     """The line's own thread switches by a GPIO line."""
 
@@ -155,8 +151,7 @@ class TextWheel:
     """Side of the base on which the wheel is: -1 left, 1 right."""
     radius_m: float
     counts_per_turn: int = 0
-    """Counts for one turn of the motor's shaft, to convert a distance into counts; 0: there is no
-    counter."""
+    """Counts for one turn of the motor's shaft, to convert distances; 0: there is no counter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

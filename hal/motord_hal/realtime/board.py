@@ -96,8 +96,7 @@ class BoardThread(LineThreadHandle):
         return self._control.request
 
     def put_order(self, order: Plain) -> bool:
-        """Queue an order; return False if the queue is full. Raise HalError if the thread has
-        ended."""
+        """Queue an order; False: the queue is full. Raise HalError if the thread has ended."""
         code = lib.board_put_order(self._line, ffi.new("board_order *", order))
         if not is_taken(code, "the line takes no write"):
             return False
@@ -123,6 +122,5 @@ class BoardThread(LineThreadHandle):
         return report_of(BoardReport, raw, (drive,))
 
     def round_trips(self) -> RoundTrips:
-        """Return the times from set-points to the feedback that acknowledged them, since the
-        start."""
+        """Return the times from set-points to the acknowledging feedback, since the start."""
         return round_trips_of(lib.board_histogram_read, self._line)

@@ -97,8 +97,7 @@ class CanThread(LineThreadHandle):
         self._put_control()
 
     def put_order(self, order: Plain) -> bool:
-        """Queue an order; return False if the queue is full. Raise HalError if the thread has
-        ended."""
+        """Queue an order; False: the queue is full. Raise HalError if the thread has ended."""
         code = lib.can_put_order(self._line, ffi.new("can_order *", order))
         if not is_taken(code, "the line takes no frame"):
             return False

@@ -40,8 +40,7 @@ def value_of(kind: Callable[..., Value], raw: Any, **own: Any) -> Value:
 
 
 def first_bad(check: Callable[[Any, Any], Any], value: Any) -> str:
-    """Run a check in C; return the name of the first bad field, or an empty string if all are
-    good."""
+    """Run a check in C; return the name of the first bad field, or "" if all are good."""
     name = ffi.new("char[]", lib.FIELD_NAME_BYTES)
     found = check(value, name)
     return "" if found == ffi.NULL else str(ffi.string(found).decode("ascii"))

@@ -156,8 +156,7 @@ class LineThread(LineThreadHandle):
         self._drives = len(table.drive)
 
     def put_request(self, request: LineRequest) -> bool:
-        """Queue a request; return False if the queue is full. Raise HalError if the thread has
-        ended."""
+        """Queue a request; False: the queue is full. Raise HalError if the thread has ended."""
         raw = self._raw_request
         raw.id, raw.drive, raw.urgent = request.id, request.drive, request.urgent
         raw.expires_ns, raw.turnaround_ns = request.expires_ns, request.turnaround_ns

@@ -52,8 +52,7 @@ def _cycles(report: LineReport) -> int:
 
 
 def _cycle_hz(report: LineReport) -> float:
-    """Return the cyclic rate of the slowest drive that is ready or armed; 0: there is no such
-    drive."""
+    """Return the cyclic rate of the slowest drive that is ready or armed; 0: no drive is."""
     asked = (drive for drive in report.drives if drive.mode in (Mode.READY, Mode.ARMED))
     slowest_ns = max((drive.cycle_ns for drive in asked), default=0)
     return 1e9 / slowest_ns if slowest_ns else 0.0

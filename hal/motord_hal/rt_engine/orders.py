@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs of a drive whose requests are orders to the thread in C, which sends them beside the
-cycle."""
+"""Jobs of a drive whose requests are orders to the thread in C, sent beside the cycle."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ class OrderJobs(abc.ABC):
         return contextlib.nullcontext() if urgent else self._turn
 
     async def _all_sent(self, dropped_before: int) -> bool:
-        """Wait until the thread has sent all orders. Return False if some were dropped, or time is
-        up."""
+        """Wait until the thread has sent all orders. False: some were dropped, or time is up."""
         until_s = now_s() + self.request_limit_s + SEEN_WITHIN_S
         while now_s() < until_s:
             await asyncio.sleep(self._cycle_s)

@@ -91,8 +91,7 @@ def end(process: subprocess.Popen[bytes]) -> None:
 
 @contextlib.contextmanager
 def gil_hog() -> Iterator[None]:
-    """Run a thread in this block that computes in pure Python and never releases the GIL by
-    itself."""
+    """Run a thread in this block that computes in Python and never releases the GIL by itself."""
     stop = threading.Event()
 
     def hog() -> None:

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a run: a histogram of the lateness, and its course over time. It needs the extra
-`plot`."""
+"""The picture of a run: the lateness as a histogram and over time. It needs the extra `plot`."""
 
 from __future__ import annotations
 
@@ -22,8 +21,7 @@ ONE_TICK = 0.7
 """Lower end of the histogram's count axis, so that a bucket with one tick is visible."""
 LEGEND_ROOM = 2.5
 FLOOR_US = 1.0
-"""Least lateness in the picture, because a logarithmic axis has no zero. Lower values are drawn
-here."""
+"""Least lateness in the picture (a logarithmic axis has no zero). Lower values are drawn here."""
 
 
 class PlotMissing(RuntimeError):

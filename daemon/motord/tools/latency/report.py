@@ -40,8 +40,7 @@ def number(value: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Percentiles of one figure, in the unit of its key in the report. They are NaN if there is no
-    sample."""
+    """Percentiles of one figure, in the unit of its key in the report; NaN without a sample."""
 
     samples: int
     p50: float

@@ -22,8 +22,7 @@ SILENCE_S = 0.25
 PINGS_MAX = 20
 UNANSWERED_AFTER_S = 1.0
 PING = b"\x1b[5n"
-"""Request of a device status report (ECMA-48, DSR 5). The terminal answers PONG, in order with its
-keys."""
+"""Request of a device status report (ECMA-48, DSR 5); the answer PONG comes in order with keys."""
 PONG = "\x1b[0n"
 
 _SEQUENCE = re.compile(rb"\x1b\[[0-?]*[ -/]*[@-~]|\x1bO[@-~]|\x1b[^\[O]|[^\x1b]", re.DOTALL)

@@ -136,8 +136,7 @@ def _roboclaw_of(spec: LineSpec) -> BoardDecoder:
 
 # ------------------------------------------------- hoverboard packets, Sabertooth packet serial
 class _Hoverboard:
-    """Decodes the commands to a hoverboard's main board, as its firmware mixes them, and its
-    feedback."""
+    """Decodes commands to a hoverboard's main board, as its firmware mixes them, and feedback."""
 
     def __init__(self, spec: LineSpec) -> None:
         self._joints = ",".join(joint.name for joint in spec.joints)
@@ -163,8 +162,7 @@ class _Hoverboard:
 
 
 class _Sabertooth:
-    """Decodes the packets to the drivers on one wire, each with its address. The drivers send
-    nothing."""
+    """Decodes packets to the drivers on one wire, each with its address. Drivers send nothing."""
 
     def __init__(self, spec: LineSpec) -> None:
         self._drivers = {

@@ -22,8 +22,7 @@ its port is opened, and its boot loader waits for two seconds."""
 
 
 class BoardRtDrive(RtDrive):
-    """The board, which is the only drive of its line. It counts as responsive by the feedback that
-    C has received."""
+    """The board, the only drive of its line. Feedback received in C shows that it responds."""
 
     def __init__(
         self,

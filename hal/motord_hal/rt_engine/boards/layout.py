@@ -69,8 +69,7 @@ class Layout:
         return [self.place(register, unit) for unit in self.units or (0,)]
 
     def raw(self, register: str, payload: bytes) -> int | None:
-        """Return the register's raw value in a board's feedback; None: the feedback does not have
-        it."""
+        """Return the register's raw value in a board's feedback; None: it is not in there."""
         place = self.reported.get(register)
         if place is None or len(payload) < place["byte"] + place["bytes"]:
             return None
@@ -79,8 +78,7 @@ class Layout:
 
 
 def layout_of(spec: LineSpec, plan: DrivePlan, period_s: float) -> Layout:
-    """Return the layout for the kind of the line. Raise ProfileError if the profile does not fit
-    it."""
+    """Return the layout for the kind of line. Raise ProfileError if the profile does not fit."""
     if plan.profile.protocol not in _PROTOCOLS[spec.kind]:
         raise ProfileError(f"{spec.name}: {plan.profile.name} speaks {plan.profile.protocol}")
     if spec.kind == "mcu":

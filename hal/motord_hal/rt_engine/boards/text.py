@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Converts templates of lines of text to the pieces that a board's thread in C writes and reads.
-Pure."""
+"""Converts templates of text to the pieces that a board's thread in C writes and reads. Pure."""
 
 from __future__ import annotations
 

@@ -25,8 +25,7 @@ PROBE_LIMIT_S = 2.0
 
 
 class CanRtDrive(RtDrive):
-    """Drive number `index` of the line's table. It counts as responsive by the frames that C has
-    received."""
+    """Drive number `index` of the line's table. Frames received in C show that it responds."""
 
     def __init__(
         self,

@@ -154,8 +154,7 @@ def _setpoints(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
 
 
 def _trigger(plan: CanPlan, handshake: Handshake | None) -> Plain:
-    """Return the bit that makes the drive take a target; empty (a length of 0): it takes every
-    target."""
+    """Return the bit that makes the drive take a target; empty: it takes every target."""
     if handshake is None:
         return {}
     signal, place = plan.signal(handshake.register), handshake.mask.bit_length() - 1
@@ -211,8 +210,7 @@ def _sent_by(frame: Frame) -> Iterator[int]:
 
 
 def silence_s(plan: CanPlan, spec: LineSpec, frame: Frame) -> float:
-    """Return the time without this frame after which the drive is unresponsive; 0: the frame may be
-    missing."""
+    """Return the time without this frame after which a drive is unresponsive; 0: never."""
     if frame not in plan.watched:
         return 0.0
     if frame.period_s:

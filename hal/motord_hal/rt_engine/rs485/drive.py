@@ -181,8 +181,7 @@ class RtDrive(abc.ABC):
 
     # -------------------------------------------------------------------------------- the two tasks
     async def keep_set_up(self) -> None:
-        """Set the drive up and request READY whenever C reports that it is not set up. Never
-        return."""
+        """Set the drive up and request READY whenever C reports that it is not set up, for ever."""
         while True:
             await self._notifier.until(lambda: self.mode in (Mode.OFF, Mode.BACK))
             try:
@@ -199,8 +198,7 @@ class RtDrive(abc.ABC):
             await asyncio.sleep(self._backoff.next_s())
 
     async def keep_powered_off(self) -> None:
-        """Power the drive off whenever it was stood down, ahead of all other requests. Never
-        return."""
+        """Power the drive off whenever it was stood down, before all other requests, for ever."""
         while True:
             await self._notifier.until(lambda: self._powering_off is not None)
             try:
@@ -281,8 +279,7 @@ class RtDrive(abc.ABC):
         return self.profile.registers[register].to_si(steps[0].value or 0)
 
     async def clear_faults(self) -> None:
-        """Power the drive off, then do the fault-clearing steps. Raise DriveFault if a fault
-        stays."""
+        """Power the drive off, then clear its faults. Raise DriveFault if a fault stays."""
         await asyncio.shield(self.stand_down())
         await self._jobs.run("clear", clear_steps(self._jobs.profile))
 
@@ -308,8 +305,7 @@ class SerialDrive(RtDrive):
         return self._line_hint()
 
     async def _present(self) -> None:
-        """Do not wait: on this medium only an answer in the set-up shows that the drive
-        responds."""
+        """Do not wait: only an answer in the set-up shows that a serial drive responds."""
 
     def _why_unresponsive(self, report: DriveReport) -> str:
         return _last_failure(report, servo=self.profile.protocol == "dynamixel")

@@ -17,8 +17,7 @@ from motord_hal.realtime.table import LineFrame, Seal
 from motord_hal.servo.packets import DYNAMIXEL_ERRORS
 
 ANSWER_ALLOWANCE_S = 1.0
-"""Time that a caller waits for an answer beyond the line's own limit: the event loop may be
-late."""
+"""Time that a caller waits beyond the line's own limit, because the event loop may be late."""
 
 Check = Callable[[], None]
 """A function that raises HalError if a request must not be made any more."""

@@ -178,8 +178,7 @@ class ServoFrames:
 
 
 def group_of(drives: Sequence[ServoFrames]) -> LineGroup | None:
-    """Return the sync write and sync read that all servos share; None: they differ, or have
-    none."""
+    """Return the sync write and read that all servos share; None: they differ or lack it."""
     groups = {each.group() for each in drives}
     return groups.pop() if len(groups) == 1 else None
 
