@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The C extension: core, loop and state page. Nothing else in the daemon
-imports it."""
+"""Access to the C extension: core, loop and state page. No other package of the daemon imports the
+extension."""

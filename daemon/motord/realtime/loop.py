@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The daemon's interface to the C core: its configuration, the real-time loop, the state page.
 
-Names and units are those of csrc/api/api.h, which holds the meaning of each field. All times are
-CLOCK_MONOTONIC in nanoseconds. Nothing here waits for longer than one period of the loop.
+Names and units are those of csrc/api/api.h, which has the meaning of each field. All times are
+CLOCK_MONOTONIC in nanoseconds. No call waits for longer than one period of the loop.
 """
 
 from __future__ import annotations
@@ -73,11 +73,11 @@ __all__ = [
 ]
 
 LEASES_MAX: int = lib.LEASES_MAX
-LEASE_NUMBERS = itertools.count(1)  # of the whole process: leases differ by them
-_ESTOP_INPUTS = ("none", "clear", "active", "lost")  # by ESTOP_*
+LEASE_NUMBERS = itertools.count(1)  # shared by the whole process: each lease has its own number
+_ESTOP_INPUTS = ("none", "clear", "active", "lost")  # the index is an ESTOP_* of C
 _NO_GAINS = {name: 0.0 for name, _ in ffi.typeof("speed_loop_gains").fields}
 _POLICIES = {os.SCHED_FIFO: "SCHED_FIFO", os.SCHED_OTHER: "SCHED_OTHER"}
-# Once: each call gives the GIL up, and a busy thread gives it back late.
+# Computed once: each call releases the GIL, and a busy thread returns it late.
 _FLOORS_NS = tuple(lib.histogram_bucket_floor_ns(i) for i in range(lib.HISTOGRAM_BUCKETS))
 
 
@@ -95,7 +95,8 @@ class SpeedLoopKind(enum.IntEnum):
 
 
 class ConfigRefused(ValueError):
-    """The core will not run with this. `field`: the first bad one, as `joint[1].wheel_radius_m`."""
+    """The core refuses a configuration. `field` is its first bad field, for example
+    `joint[1].wheel_radius_m`."""
 
     def __init__(self, field: str) -> None:
         super().__init__(f"the core refuses {field}: out of range or not finite")
@@ -103,7 +104,7 @@ class ConfigRefused(ValueError):
 
 
 def limits_problem(limits: BaseLimits) -> str | None:
-    """The first field that is out of range, as `linear.velocity_u_s`; None: all are good."""
+    """Return the first field out of range, e.g. `linear.velocity_u_s`; None: all are good."""
     return first_bad(lib.base_limits_check, ffi.new("base_limits *", limits)) or None
 
 
@@ -118,16 +119,16 @@ def _core_config(config: CoreConfig) -> Any:
 
 class HistogramKind(enum.IntEnum):
     LATENESS = lib.HISTOGRAM_LATENESS
-    """Wake-up after its deadline."""
+    """Time from a tick's deadline to the thread's wake-up."""
     STEP = lib.HISTOGRAM_STEP
-    """The tick's own work."""
+    """Time of a tick's own work."""
     COMMAND = lib.HISTOGRAM_COMMAND
-    """From a command's stamp to the first tick that used it."""
+    """Time from a command's stamp to the first tick that used the command."""
 
 
 @dataclass(slots=True)
 class _Buffers:
-    """Made once, so that the border is crossed without a new allocation in C's types."""
+    """Buffers of C's types that are made once, so that no call to C has to allocate one."""
 
     permissions: Any = field(default_factory=lambda: ffi.new("lease_permissions *"))
     commands: Any = field(default_factory=lambda: ffi.new("command_report *"))
@@ -139,10 +140,10 @@ class _Buffers:
 
 
 class Loop:
-    """The real-time loop of this process: one at a time, from one Python thread.
+    """The real-time loop of this process. Run one at a time, and use it from one Python thread.
 
-    A context manager; or `start` and `stop`, as often as wanted. With `page_name` the state page
-    lies in /dev/shm while it runs (docs/state-page.md).
+    Use it as a context manager, or call `start` and `stop`, any number of times. With `page_name`
+    the state page is in /dev/shm while the loop runs (docs/state-page.md).
     """
 
     def __init__(
@@ -153,8 +154,8 @@ class Loop:
         *,
         journal: bool = False,
     ) -> None:
-        """`journal`: one beside the page. Raises ConfigRefused for what the core refuses,
-        ValueError for a CPU beyond 0..63."""
+        """`journal`: also write a journal, in a file beside the page. Raise ConfigRefused for a
+        configuration that the core refuses, ValueError for a CPU that is not in 0..63."""
         if any(not 0 <= number <= 63 for number in settings.cpu):
             raise ValueError(f"cpu {settings.cpu}: each is 0..63")
         self._core = _core_config(core)
@@ -178,12 +179,12 @@ class Loop:
         self.stop()
 
     def start(self) -> None:
-        """Returns after the first tick, disarmed. Nothing may be using the exchange meanwhile: it
-        is emptied.
+        """Start the loop, disarmed, and return after its first tick. No other thread may use the
+        exchange meanwhile, because it is emptied.
 
-        Raises RuntimeError when a loop runs in this process already, PageInUse when another daemon
-        owns the page, ValueError for settings out of range, OSError for what cannot be done
-        without.
+        Raise RuntimeError if a loop runs in this process already, PageInUse if another daemon owns
+        the page, ValueError for settings out of range, OSError if the system refuses what the loop
+        needs.
         """
         with contextlib.ExitStack() as unless_started:
             page_fd = journal_fd = -1
@@ -212,7 +213,7 @@ class Loop:
             _raise_for(code, "loop_start")
             self._event_fd, self._command_end = event_fd, command_end
             self._release = unless_started.pop_all()
-        # whole: cffi leaves the fields that a dictionary does not name as they were, armed too
+        # the whole struct: cffi does not change fields that a dictionary does not name, e.g. armed
         self._buffers.control[0] = ffi.new("core_control *", {"limits": self._limits})[0]
         self.beat()
 
@@ -239,9 +240,8 @@ class Loop:
         )
 
     def stop(self) -> None:
-        """The last set-points are zero and not enabled; takes a period at most.
-
-        Not running: nothing to do. Take the reader off `fileno()` before.
+        """Stop the loop; its last set-points are zero and not enabled. This takes one period at
+        most. Do nothing if it does not run. Remove the event loop's reader of `fileno()` before.
         """
         if self._event_fd < 0:
             return
@@ -250,7 +250,8 @@ class Loop:
             _raise_for(lib.loop_stop(), "loop_stop")
 
     def grant(self, leases: Iterable[LeaseGrant]) -> None:
-        """From the next tick on these may command, and no other. At most LEASES_MAX."""
+        """Set the leases, LEASES_MAX at most, that may command from the next tick on. No other
+        source may."""
         raw = self._buffers.permissions
         ffi.memmove(raw, bytes(ffi.sizeof("lease_permissions")), ffi.sizeof("lease_permissions"))
         for place, lease in zip(raw.lease, leases, strict=False):
@@ -263,15 +264,15 @@ class Loop:
         lib.exchange_put_permissions(self._exchange, raw)
 
     def send(self, command: bytes) -> None:
-        """A command (commands.datagram) by the socket pair that all of them use. Raises
-        BlockingIOError where the loop takes none, ValueError where it does not run."""
+        """Send a command (commands.datagram) to the loop by a socket pair. Raise BlockingIOError if
+        the socket is full, ValueError if the loop does not run."""
         if self._command_end is None:
             raise ValueError("the loop does not run")
         self._command_end.send(command)
 
     def commands(self) -> CommandReport:
-        """Which source commands, and what became of each lease; of the last tick in which something
-        came or changed."""
+        """Return which source is in command and the state of each lease, as of the newest tick in
+        which a command came or something changed."""
         raw = self._buffers.commands
         lib.exchange_take_commands(self._exchange, raw)
         return CommandReport(
@@ -284,11 +285,11 @@ class Loop:
         )
 
     def open_lease(self, priority: int = 100, lifetime_s: float = 0.3) -> LoopLease:
-        """The only lease from now on: for tools and tests, which need no arbitration."""
+        """Make a lease that is the only one from now on, for tools and tests."""
         return LoopLease(self, priority, lifetime_s)
 
     def put_control(self, control: Control) -> None:
-        """The daemon's control levels, and a heartbeat with them."""
+        """Pass the daemon's control levels to the loop, with a heartbeat."""
         raw = self._buffers.control
         raw.armed = control.armed
         raw.stop = control.stop
@@ -308,31 +309,33 @@ class Loop:
         self.beat()
 
     def beat(self) -> None:
-        """A heartbeat of asyncio, with the levels of before. From a task, never from a thread."""
+        """Send a heartbeat of asyncio and the same levels as before. Call it from a task, never
+        from another thread: it shows that asyncio runs."""
         raw = self._buffers.control
         raw.heartbeat_ns = lib.clock_now_ns()
         lib.exchange_put_control(self._exchange, raw)
 
     def fileno(self) -> int:
-        """Readable every `notify_hz` and when reasons, faults, armed or at_rest change, until
-        `drain`."""
+        """Return a file descriptor. It becomes readable `notify_hz` times a second, and when
+        reasons, faults, armed or at_rest change; `drain` ends that."""
         if self._event_fd < 0:
             raise ValueError("the loop does not run")
         return self._event_fd
 
     def drain(self) -> int:
-        """How many notifications came since the last time; makes `fileno()` not readable."""
+        """Return the number of notifications since the last call, and clear them."""
         with contextlib.suppress(BlockingIOError):
             return os.eventfd_read(self.fileno())
         return 0
 
     def read_state(self) -> Snapshot:
-        """The newest tick's; after `stop` the last one's. Raises OSError before the first start."""
+        """Return the snapshot of the newest tick; after `stop` that of the last one. Raise OSError
+        before the first start."""
         _raise_for(lib.loop_state_read(self._buffers.state), "loop_state_read")
         return _snapshot(self._buffers.state)
 
     def status(self) -> LoopStatus:
-        """What the kernel granted, and the counters; after `stop` the last ones."""
+        """Return what the kernel granted, and the counters; after `stop` their last values."""
         raw = self._buffers.status
         lib.loop_status_read(raw)
         refused = permissions.Refused(
@@ -341,7 +344,7 @@ class Loop:
             memory_lock=raw.memory_lock_errno,
             dma_latency=raw.dma_latency_errno,
         )
-        if refused != self._refused:  # the sentences need a descriptor, which may be lacking later
+        if refused != self._refused:  # made at once: they need a descriptor, maybe not free later
             cpu = self._settings.cpu
             priority = self._settings.priority
             self._refusals = permissions.sentences(refused, priority=priority, cpu=cpu)
@@ -356,17 +359,19 @@ class Loop:
         )
 
     def stop_requests(self) -> StopRequests:
-        """What came on `stop_fd` so far."""
+        """Return the stop requests that came on `stop_fd` so far."""
         lib.loop_stop_requests(self._buffers.stops)
         stop, estop, disarm = self._buffers.stops.count
         return StopRequests(stop=stop, estop=estop, disarm=disarm, pid=self._buffers.stops.pid)
 
     def acknowledge_stops(self, requests: StopRequests) -> None:
-        """The levels of the last `put_control` hold these: the loop drops its own."""
+        """Acknowledge stop requests whose levels the last `put_control` has set: from now on the
+        loop follows the levels alone."""
         lib.loop_acknowledge_stops([requests.stop, requests.estop, requests.disarm])
 
     def percentiles(self, kind: HistogramKind) -> Percentiles:
-        """Of all samples since start or `clear_histograms`; all zero when there is none."""
+        """Return the percentiles of all samples since the start or `clear_histograms`; all are zero
+        if there is no sample."""
         raw = self._read_histogram(kind)
         p50_ns, p99_ns, p99_9_ns, max_ns = (
             lib.histogram_percentile_ns(raw, fraction) for fraction in (0.5, 0.99, 0.999, 1.0)
@@ -374,7 +379,7 @@ class Loop:
         return Percentiles(raw.samples, p50_ns, p99_ns, p99_9_ns, max_ns)
 
     def buckets(self, kind: HistogramKind) -> list[Bucket]:
-        """Those that hold a sample, in order."""
+        """Return the buckets that hold a sample, in the order of their values."""
         raw = self._read_histogram(kind)
         edges_ns = [*_FLOORS_NS, max(raw.max_ns, _FLOORS_NS[-1]) + 1]
         return [
@@ -384,11 +389,11 @@ class Loop:
         ]
 
     def clear_histograms(self) -> None:
-        """Done by the loop at its next tick. Raises OSError when it does not run."""
+        """Let the loop clear its histograms at its next tick. Raise OSError if it does not run."""
         _raise_for(lib.loop_histogram_clear(), "loop_histogram_clear")
 
     def take_late(self) -> list[LateTick]:
-        """The ticks that were late (`LoopSettings.late_from_ns`) since the last call."""
+        """Return the ticks since the last call that were late (`LoopSettings.late_from_ns`)."""
         raw = ffi.new("late_tick *")
         found = []
         while lib.loop_late_take(raw):
@@ -402,7 +407,7 @@ class Loop:
 
 
 class LoopLease:
-    """A lease that a tool or a test holds by itself."""
+    """A lease that a tool or a test holds in the same process as the loop."""
 
     def __init__(self, loop: Loop, priority: int, lifetime_s: float) -> None:
         self._loop = loop
@@ -423,7 +428,7 @@ class LoopLease:
         *,
         lateral_m_s: float = 0.0,
     ) -> None:
-        """A command of now, or of `stamp_ns`."""
+        """Send a command with the stamp `stamp_ns`; None: now."""
         self._sequence += 1
         stamp_ns = lib.clock_now_ns() if stamp_ns is None else stamp_ns
         token = self._grant.token
@@ -434,7 +439,7 @@ class LoopLease:
 
 
 def _epoll(fds: tuple[int, ...]) -> select.epoll:
-    """What the loop waits for commands with."""
+    """Make the epoll object that the loop waits on. Raise ValueError for too many sockets."""
     if len(fds) > lib.COMMAND_SOCKETS:
         raise ValueError(f"{len(fds)} sockets for commands, at most {lib.COMMAND_SOCKETS}")
     poller = select.epoll()

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the kernel refused the real-time thread: what, why, the price, and what to do about it."""
+"""Sentences about what the kernel refused the real-time thread: the reason, the effect, and what
+the user can do about it."""
 
 from __future__ import annotations
 
@@ -10,12 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _CAP_SYS_NICE = 23
-"""include/uapi/linux/capability.h"""
+"""Number of the capability in include/uapi/linux/capability.h."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Refused:
-    """The errno of each thing that was asked for; 0: granted, or not asked for."""
+    """The errno of each request to the kernel; 0: granted, or not requested."""
 
     scheduler: int = 0
     affinity: int = 0
@@ -24,7 +25,7 @@ class Refused:
 
 
 def sentences(refused: Refused, *, priority: int, cpu: Sequence[int]) -> dict[str, str]:
-    """A sentence for each refusal, by what was refused; empty when all was granted."""
+    """Return refused thing → sentence; empty if everything was granted."""
     found: dict[str, str] = {}
     if refused.scheduler:
         found["scheduler"] = (
@@ -54,7 +55,8 @@ def sentences(refused: Refused, *, priority: int, cpu: Sequence[int]) -> dict[st
 
 
 def _scheduler_cure(priority: int) -> str:
-    """Which of the kernel's two reasons it was: sched(7)."""
+    """Return what the user can do, by which of the kernel's two reasons for a refusal applies
+    (sched(7))."""
     limit, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
     if limit >= priority or _has_capability(_CAP_SYS_NICE):
         return (

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The C core by itself, without loop and lines: steps on recorded input, compared bit for bit."""
+"""The C core without loop and lines: it is stepped with recorded input, and its results are
+compared with the recorded ones, bit for bit."""
 
 from __future__ import annotations
 
@@ -22,17 +23,16 @@ CHECKPOINT_BYTES: int = ffi.sizeof("core_state")
 
 @dataclass(frozen=True, slots=True)
 class Differing:
-    """What came out otherwise than recorded."""
+    """A value that differs from the recorded one."""
 
     field: str
     recorded: float | None = None
-    """As a set-point of a drive has it, with the unit in the name of the field; None where the
-    recording has no number of it."""
+    """Recorded value, with the unit in the field's name; None: there is no finite number."""
     replayed: float | None = None
 
 
 class ReplayedCore:
-    """A core that is set to a recorded state and stepped with recorded input."""
+    """A core that you set to a recorded state and step with recorded input."""
 
     def __init__(self) -> None:
         self._state = ffi.new("core_state *")
@@ -40,10 +40,10 @@ class ReplayedCore:
         self._out = ffi.new("setpoints *")
         self._snapshot = ffi.new("robot_state *")
         self.known = False
-        """It has been set to a state."""
+        """True once the core has been set to a state."""
 
     def load(self, checkpoint: bytes) -> None:
-        """Set it to that state. Raises ValueError for one of another size."""
+        """Set the core to a recorded state. Raise ValueError for one of another size."""
         if len(checkpoint) != CHECKPOINT_BYTES:
             raise ValueError(f"a state of {len(checkpoint)} bytes, not {CHECKPOINT_BYTES}")
         ffi.memmove(self._state, checkpoint, CHECKPOINT_BYTES)
@@ -51,17 +51,17 @@ class ReplayedCore:
 
     @property
     def tick(self) -> int:
-        """Of the last step."""
+        """Number of the last step's tick."""
         tick: int = self._state.tick
         return tick
 
     def is_at(self, checkpoint: bytes) -> bool:
-        """Whether its state is that one, bit for bit."""
+        """Whether the core's state is equal to a recorded state, bit for bit."""
         return bytes(ffi.buffer(self._state)) == checkpoint
 
     def step(self, record: bytes) -> list[Differing]:
-        """One tick; what came out otherwise than recorded. Raises ValueError for a record of
-        another size."""
+        """Step the core by one tick; return the values that differ from the recorded ones. Raise
+        ValueError for a record of another size."""
         if len(record) != RECORD_BYTES:
             raise ValueError(f"a record of {len(record)} bytes, not {RECORD_BYTES}")
         raw = self._record
@@ -76,16 +76,17 @@ class ReplayedCore:
         return differs
 
     def now_ns(self) -> int:
-        """The recorded time of the last step."""
+        """Return the recorded time of the last step."""
         now_ns: int = self._record.input.now_ns
         return now_ns
 
     def snapshot(self) -> Snapshot:
-        """After the last step."""
+        """Return the snapshot after the last step."""
         return decode(bytes(ffi.buffer(self._snapshot)))
 
     def show(self, page: ReplayPage, shift_ns: int) -> None:
-        """The snapshot after the last step, on a state page, its stamps moved by that much."""
+        """Write the snapshot after the last step to a state page, with `shift_ns` added to its
+        stamps."""
         raw = self._snapshot
         raw.stamp_ns += shift_ns
         raw.odometry_stamp_ns += shift_ns if raw.odometry_stamp_ns > 0 else 0
@@ -93,12 +94,12 @@ class ReplayedCore:
 
 
 def tick_of(record: bytes) -> int:
-    """The core's tick that made it."""
+    """Return the number of the core's tick in which a record was made."""
     return int.from_bytes(record[:8], "little")
 
 
 def tick_of_state(checkpoint: bytes) -> int:
-    """The core's tick after which it was taken."""
+    """Return the number of the core's tick after which a state was recorded."""
     raw = ffi.new("core_state *")
     ffi.memmove(raw, checkpoint, CHECKPOINT_BYTES)
     tick: int = raw.tick
@@ -137,10 +138,10 @@ def _finite(value: float) -> float | None:
 
 
 class ReplayPage:
-    """A state page that shows a replay, as a daemon's does. A context manager."""
+    """A state page for a replay, in the same form as the page of a daemon. A context manager."""
 
     def __init__(self, robot: str) -> None:
-        """Raises PageInUse where a daemon of that name runs."""
+        """Make the page. Raise PageInUse if a daemon of that name runs."""
         self._file = PageFile.open(robot)
         self.path = self._file.path
         os.truncate(self._file.fd, lib.PAGE_BYTES)
@@ -149,7 +150,7 @@ class ReplayPage:
         lib.page_init(self._page)
 
     def write(self, raw: Any) -> None:
-        """Publish it."""
+        """Publish a struct robot_state on the page."""
         lib.page_write(self._page, raw)
 
     def __enter__(self) -> Self:

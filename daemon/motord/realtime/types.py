@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes into the real-time loop and what it reports about itself, as plain values.
+"""Input of the real-time loop and its reports about itself, as plain values.
 
-The TypedDicts mirror the structs of csrc/api/api.h field by field, which holds their meanings and
-ranges.
+The TypedDicts have the same fields as the structs in csrc/api/api.h, where their meanings and
+ranges are.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import NotRequired, Required, TypedDict
 
 
 class AxisLimits(TypedDict):
-    """u = m on the linear and the lateral axis, rad on the angular one. Jerk may be infinite: no
-    limit."""
+    """Limits of one axis. The unit u is m on the linear and the lateral axis, rad on the angular
+    one. An infinite jerk means no limit."""
 
     velocity_u_s: float
     acceleration_u_s2: float
@@ -28,7 +28,8 @@ class BaseLimits(TypedDict):
 
 
 class WheelRow(TypedDict):
-    """Rim speed = x linear + y lateral + lever_m angular."""
+    """Factors from the base's twist to a wheel: rim speed = x linear + y lateral + lever_m
+    angular."""
 
     x: float
     y: float
@@ -44,7 +45,7 @@ class PwmConfig(TypedDict):
 
 
 class SpeedLoopGains(TypedDict, total=False):
-    """u: N m of a torque, 1 of a duty. What is left out is 0."""
+    """Gains of a speed loop. The unit u is N m for a torque, 1 for a duty. A missing gain is 0."""
 
     gain_u_s_per_rad: float
     integral_u_per_rad: float
@@ -61,24 +62,26 @@ class SpeedLoopConfig(TypedDict):
     output_min_u: float
     output_max_u: float
     kind: int
-    """A SpeedLoopKind."""
+    """Value of a SpeedLoopKind."""
 
 
 class DeratingRange(TypedDict):
-    """`full` == `none`: not in use."""
+    """The two measured values between which the speed limits fall linearly: whole at `full`, zero
+    at `none`. If both are equal, there is no such derating."""
 
     full: float
     none: float
 
 
 class DeratingConfig(TypedDict):
-    """By temperature in °C, current in A, voltage in V."""
+    """Ranges for the derating by temperature (°C), current (A) and voltage (V), in this order."""
 
     range: list[DeratingRange]
 
 
 class PlausibleConfig(TypedDict, total=False):
-    """What is left out is 0; a time of 0 switches its check off."""
+    """Thresholds of the plausibility checks. A missing one is 0; a time of 0 switches its check
+    off."""
 
     setpoint_min_rad_s: float
     slow_rad_s: float
@@ -95,11 +98,11 @@ class PlausibleConfig(TypedDict, total=False):
 
 
 class PositionConfig(TypedDict, total=False):
-    """Of a joint that takes positions. Without it `used` is 0."""
+    """Settings of a joint that takes positions. For other joints `used` is 0."""
 
     used: Required[int]
     reference: int
-    """A position_reference of csrc/api/api_position.h."""
+    """Value of the enum position_reference in csrc/api/api_position.h."""
     zero_count: int
     position_min_rad: float
     position_max_rad: float
@@ -119,16 +122,16 @@ class JointConfig(TypedDict):
     line: int
     pwm: PwmConfig
     speed_loop: NotRequired[SpeedLoopConfig]
-    """Only of a joint whose drive takes a torque, or a duty."""
+    """Only for a joint whose drive takes a torque or a duty."""
     plausible: NotRequired[PlausibleConfig]
     position: NotRequired[PositionConfig]
     derating: NotRequired[DeratingConfig]
     own: NotRequired[AxisLimits]
-    """Of a joint without a base that takes velocities."""
+    """Limits of a joint that takes velocities, on a robot without a base."""
 
 
 class GyroConfig(TypedDict, total=False):
-    """Without a gyro `used` is 0, and the rest may be left out."""
+    """Settings of the gyro. Without a gyro `used` is 0, and the other fields may be missing."""
 
     used: Required[int]
     timeout_s: float
@@ -139,7 +142,8 @@ class GyroConfig(TypedDict, total=False):
 
 
 class WheelModule(TypedDict):
-    """A wheel of a base with steered wheels; joints by number from 1 on, 0: none."""
+    """A wheel of a base with steered wheels. `steering` and `traction` are joint numbers from 1 on;
+    0: there is no such joint."""
 
     x_m: float
     y_m: float
@@ -156,7 +160,7 @@ class CoreConfig(TypedDict):
     heartbeat_timeout_s: float
     rest_velocity_rad_s: float
     on_timeout: int
-    """A StopAction, as the two below."""
+    """Value of a StopAction, like the next two fields."""
     on_fault: int
     on_estop: int
     distance_variance_m2_per_m: float
@@ -167,10 +171,10 @@ class CoreConfig(TypedDict):
     twist_variance_floor_rad2_s2: float
     gyro: NotRequired[GyroConfig]
     module_count: NotRequired[int]
-    """Without it the joints' rows count."""
+    """If it is missing, the rows of the joints describe the base."""
     module: NotRequired[list[WheelModule]]
     independent: NotRequired[int]
-    """1: there is no base, and each joint moves for itself."""
+    """1: there is no base, and each joint moves by itself."""
     joint: list[JointConfig]
 
 
@@ -187,7 +191,8 @@ class GuardConfig(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Percentiles:
-    """Never too low: the upper edge of a bucket that is at most 1/16 of its value wide."""
+    """Percentiles of a histogram. Each is the upper edge of a bucket, which is at most 1/16 of its
+    value wide, so it is never too low."""
 
     samples: int
     p50_ns: int
@@ -198,8 +203,8 @@ class Percentiles:
 
 @dataclass(frozen=True, slots=True)
 class Bucket:
-    """The number of samples of low_ns or more and less than high_ns; at most 1/16 of its value
-    wide."""
+    """The number of samples of at least low_ns and less than high_ns. A bucket is at most 1/16 of
+    its value wide."""
 
     low_ns: int
     high_ns: int
@@ -208,30 +213,32 @@ class Bucket:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopSettings:
-    """How the loop's thread is to run."""
+    """Settings of the loop's thread."""
 
     rate_hz: float
     priority: int
-    """SCHED_FIFO 1..99; 0: SCHED_OTHER."""
+    """Priority 1..99 with SCHED_FIFO; 0: SCHED_OTHER."""
     cpu: tuple[int, ...] = ()
-    """Empty: any."""
+    """CPUs on which the thread may run; empty: all."""
     notify_hz: float = 50.0
-    """0: woken for changes only."""
+    """Rate at which the loop wakes asyncio; 0: only when something changes."""
     lock_memory: bool = True
     hold_dma_latency: bool = True
     command_fds: tuple[int, ...] = ()
-    """Datagram sockets, not blocking, on which commands come in too; they stay the caller's."""
+    """More non-blocking datagram sockets on which commands come in. The caller closes them."""
     stop_fd: int = -1
-    """A datagram socket, not blocking, on which stop requests come in; it stays the caller's."""
+    """Non-blocking datagram socket on which stop requests come in. The caller closes it."""
     guard: GuardConfig | None = None
-    """The pins of safety. None: there are none."""
+    """The safety pins; None: there are no such pins."""
     late_from_ns: int = 0
-    """Ticks whose wake-up or end is so late are recorded for `Loop.take_late`; 0: none is."""
+    """Lateness of a tick's wake-up or end from which the tick is recorded for `Loop.take_late`; 0:
+    nothing is recorded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopStatus:
-    """How it does run. `refusals`: a sentence for each thing that the kernel did not grant."""
+    """How the loop's thread actually runs. `refusals` has a sentence for each request that the
+    kernel did not grant."""
 
     running: bool
     policy: str
@@ -242,61 +249,62 @@ class LoopStatus:
     tick_stamp_ns: int
     refusals: dict[str, str]
     estop_input: str
-    """"none", "clear", "active" or "lost": the emergency stop's contact."""
+    """State of the emergency stop's contact: "none", "clear", "active" or "lost"."""
     watchdog: bool
-    """The watchdog's pin moves."""
+    """Whether the watchdog's pin moves."""
     watchdog_edges: int
     watchdog_errno: int
-    """Of the last write to it."""
+    """errno of the last write to the watchdog's pin."""
     late_lost: int = 0
-    """Late ticks for which there was no place."""
+    """Number of late ticks that were not recorded, because there was no space."""
 
 
 STAGES = ("wake", "input", "core", "output", "notify")
-"""Of a tick, by STAGE_*."""
+"""The stages of a tick, in the order of STAGE_* in C."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LateTick:
-    """A tick that was late, and what its thread's counters grew by since the tick before."""
+    """A tick that was late, and the growth of its thread's counters since the tick before."""
 
     deadline_ns: int
     stage_ns: tuple[int, ...]
-    """By STAGES; the first from the deadline to the wake-up."""
+    """Duration of each of STAGES; the first is from the deadline to the wake-up."""
     ready_ns: int | None
-    """The thread could have run and had no CPU; None: the kernel does not count it."""
+    """Time in which the thread was ready but had no CPU; None: the kernel does not count it."""
     page_faults: int
     preemptions: int
     cpu: int
     cpu_before: int
-    """At the end of the tick before."""
+    """CPU at the end of the tick before."""
 
     @property
     def woken_ns(self) -> int:
-        """When the thread woke up."""
+        """Time at which the thread woke up."""
         return self.deadline_ns + self.stage_ns[0]
 
     @property
     def end_ns(self) -> int:
-        """When its work was done."""
+        """Time at which the tick's work was done."""
         return self.deadline_ns + sum(self.stage_ns)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StopRequests:
-    """How many of each kind the loop has received since its start; it goes by each until it has
-    been acknowledged."""
+    """The number of stop requests of each kind that the loop has received since its start. It
+    follows each until `Loop.acknowledge_stops`."""
 
     stop: int = 0
     estop: int = 0
     disarm: int = 0
     pid: int = 0
-    """Process that sent the newest; 0: not known."""
+    """Process that sent the newest request; 0: not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Control:
-    """The daemon's control, as levels and counters: `core_control` without the heartbeat."""
+    """The daemon's control of the core, as levels and counters: the struct core_control without
+    its heartbeat."""
 
     armed: bool = False
     stop: bool = False
@@ -307,11 +315,11 @@ class Control:
     odometry_reset_count: int = 0
     machine_state: int = 0
     gains_count: int = 0
-    """Another number puts `gains` in force; 0: those of the configuration are."""
+    """A change puts `gains` in force; 0: those of the configuration are in force."""
     gains: tuple[SpeedLoopGains, ...] = ()
-    """By joint."""
+    """Gains of each joint, in the order of the joints."""
     joint_limits_count: int = 0
-    """Another number puts `joint_limits` in force; 0: those of the configuration are."""
+    """A change puts `joint_limits` in force; 0: those of the configuration are in force."""
     joint_limits: tuple[AxisLimits, ...] = ()
-    """By joint, without a base."""
+    """Limits of each joint of a robot without a base, in the order of the joints."""
     limits: BaseLimits

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bridge for machines that have ROS 2: docs/ros2.md. Runs in ROS's own Python."""
+"""A bridge for machines with an installed ROS 2 (docs/ros2.md). It runs in the Python of ROS 2."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`ros2 run motord_ros2 bridge`, or `python3 -m motord.ros2_rclpy`: a node of an installed ROS 2
-with everything that commands the robot, in a process of its own."""
+that takes all commands for the robot, in its own process."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ NAME = "motord"
 _FAILED, _USAGE = 1, 2
 _TEXTS, _LIMITS = ("robot", "socket", "input"), "limits."
 _OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
-"""Parameters that every node has."""
+"""Beginnings of the names of parameters that every node has."""
 
 _log = logging.getLogger(__name__)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Returns the exit status."""
+    """Run the bridge and return the exit status."""
     given, ros_arguments = _parser().parse_known_args(arguments)
     try:
         from motord.ros2_rclpy.node import Ended, RclpyNode, opened, parameters_of
@@ -77,14 +77,15 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def options_of(parameters: Mapping[str, Any]) -> BridgeOptions:
-    """Parameters of the node, or the same as options. Raises ValueError."""
+    """Make the options from the node's parameters and command-line options. Raise ValueError for an
+    unknown parameter or a bad value."""
     found: dict[str, Any] = {}
     limits: dict[str, float] = {}
     for name, value in parameters.items():
         if name in _TEXTS:
             if not isinstance(value, str):
                 raise ValueError(f"parameter {name}: must be a string, not {value!r}")
-            if value:  # a launch file cannot leave one out
+            if value:  # a launch file cannot omit a parameter: an empty one counts as missing
                 found[name] = value
         elif name == "stamped":
             if not isinstance(value, bool):
@@ -103,7 +104,7 @@ def options_of(parameters: Mapping[str, Any]) -> BridgeOptions:
 
 
 async def run(options: BridgeOptions, node: RclpyNode) -> None:
-    """Until a signal, or the end of ROS 2. Raises Wrong, in a group."""
+    """Serve until a signal comes or ROS 2 ends. Raise Wrong or Ended, in an exception group."""
     end = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):

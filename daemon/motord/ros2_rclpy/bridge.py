@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What motord-bus serves on DDS, served on another node: the same code calls the same daemon under
-the lease of an [input.*] of kind "ros2-rclpy". The standard library alone.
+"""Serves on a node of an installed ROS 2 what motord-bus serves on DDS: the same code calls the
+same daemon under the lease of an [input.*] of kind "ros2-rclpy". It uses only the standard library.
 
-The robot file is not here: the daemon reports what the commands need of it. When the daemon
-restarts, the lease is taken again, and nothing moves before the robot is armed. A daemon with
-another robot file than the one before is not served: its wheels may have other places.
+The bridge has no robot file: the daemon reports what the commands need of it. When the daemon
+restarts, the bridge takes the lease again, and nothing moves before the robot is armed. It does not
+serve a daemon with another robot file than before, because its wheels may have other places.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ _log = logging.getLogger(__name__)
 
 
 class Wrong(Exception):
-    """It cannot go on like this; the text says what to do."""
+    """The bridge cannot go on; the text contains what the user should do."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BridgeOptions:
-    """What the node's parameters request."""
+    """Options of the bridge, from the node's parameters."""
 
     robot: str | None = None
-    """None: the only one that runs here."""
+    """Name of the robot; None: the only one that runs on this machine."""
     socket: Path | None = None
     input: str = "ros"
     stamped: bool = True
-    """Every command has to say when it was given; cmd_vel is a TwistStamped."""
+    """Whether every command needs a stamp, so that cmd_vel is a TwistStamped."""
     limits: Mapping[str, float] = field(default_factory=dict)
-    """Robot parameters (limits.*) that are set whenever the lease is taken."""
+    """Robot parameters (limits.*) that the bridge sets whenever it takes the lease."""
 
 
 async def serve(options: BridgeOptions, node: Node) -> None:
-    """Until cancelled. Raises Wrong."""
+    """Serve until cancelled. Raise Wrong if the bridge cannot serve the daemon."""
     path, description = await _described(options)
     _log.info("%s: robot %s", path, description["robot"])
     robot = _robot(description)
@@ -64,7 +64,7 @@ async def serve(options: BridgeOptions, node: Node) -> None:
         stamped=options.stamped, lease_s=_input(description, options.input)["lease_s"]
     )
     runtime = BridgeRuntime(robot, path, description, options.limits)
-    # It reads no more than that of the section.
+    # Ros2Commands reads only these two settings of the section.
     commands = Ros2Commands(options.input, cast("Ros2Input", section), runtime, node)
     async with asyncio.TaskGroup() as tasks:
         tasks.create_task(runtime.run())
@@ -72,7 +72,7 @@ async def serve(options: BridgeOptions, node: Node) -> None:
 
 
 async def _described(options: BridgeOptions) -> tuple[Path, dict[str, Any]]:
-    """The daemon's socket, and what it says of its robot, as soon as there is a daemon."""
+    """Wait for a daemon; return its socket and its description of the robot."""
     last_error = ""
     while True:
         try:
@@ -86,7 +86,7 @@ async def _described(options: BridgeOptions) -> tuple[Path, dict[str, Any]]:
 
 
 def _input(description: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    """The input of that name. Raises Wrong."""
+    """Return the input of that name. Raise Wrong if the robot file has no such input."""
     for found in description["inputs"]:
         if found["name"] == name and found["kind"] == KIND:
             return cast("Mapping[str, Any]", found)
@@ -96,7 +96,7 @@ def _input(description: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def _robot(description: Mapping[str, Any]) -> Robot:
-    """As much of a robot file as the commands read."""
+    """Make an object with those parts of a robot file that the commands read."""
     base = SimpleNamespace(
         kind="" if description.get("drives", True) else "joints",
         track_m=description["track_m"],
@@ -119,13 +119,13 @@ def _robot(description: Mapping[str, Any]) -> Robot:
 
 
 def _shape(description: Mapping[str, Any]) -> dict[str, Any]:
-    """What a robot that is served on has to keep. The limits of its file may change: the daemon
-    keeps to them, and a command far beyond the old ones is called so."""
+    """Return the part of a description that must not change while the bridge serves: everything but
+    the limits. The daemon applies the new ones; the bridge judges commands by the old ones."""
     return {key: value for key, value in description.items() if key != "limits"}
 
 
 class BridgeRuntime(Runtime):
-    """Of a robot whose file is not here."""
+    """The runtime for a robot whose file the bridge does not have."""
 
     def __init__(
         self, robot: Robot, path: Path, description: Mapping[str, Any], limits: Mapping[str, float]
@@ -134,18 +134,19 @@ class BridgeRuntime(Runtime):
         self._description, self._limits = description, limits
 
     def source(self, name: str) -> Source:
-        """As Runtime.source."""
+        """Override `Runtime.source`: the source is a BridgeSource."""
         self.sources[name] = BridgeSource(
             self.path, name, self.robot, self._description, self._limits
         )
         return self.sources[name]
 
     def _adapters(self) -> dict[str, Adapter]:
-        """No sections are read here."""
+        """Return no adapters, because there are no sections of a robot file."""
         return {}
 
     def page(self) -> StatePage:
-        """That of the daemon's user, who may be another than ours."""
+        """Open the state page of the daemon's user, which may differ from the user of this
+        process. Raise NoPage if the socket is missing."""
         try:
             owner = self.path.stat().st_uid
         except OSError as error:
@@ -154,7 +155,7 @@ class BridgeRuntime(Runtime):
 
 
 class BridgeSource(Source):
-    """Takes a lease only from a daemon with the same robot file."""
+    """A source that takes a lease only from a daemon with the same robot file."""
 
     def __init__(
         self,
@@ -168,7 +169,8 @@ class BridgeSource(Source):
         self._robot, self._description, self._limits = robot, description, limits
 
     async def _grant(self, daemon: Client) -> dict[str, Any]:
-        """As Source._grant. Raises Wrong."""
+        """Extend `Source._grant`: check the robot file first, and set the robot parameters. Raise
+        Wrong if the robot file has changed."""
         if _shape(await daemon.call("robot")) != _shape(self._description):
             raise Wrong("the robot file has changed since this bridge started: restart the bridge")
         if self._limits:

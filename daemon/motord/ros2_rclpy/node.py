@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node of an installed ROS 2, with the interface of motord.bus.ros2.nodes.Node: what is served on
-it is the same code. The only file that knows rclpy.
+"""A node of an installed ROS 2 with the interface of motord.bus.ros2.nodes.Node, so that the same
+code serves on it. This is the only file that uses rclpy.
 
-rclpy works in threads of its own; what is served works in one event loop. Messages cross over as
-the bytes that ROS 2 has for them, so that no field is copied by hand. An answer is waited for in a
-thread of rclpy: each service has its own, an emergency stop does not stand behind an arming.
+rclpy has its own threads; the code that serves runs in one event loop. Messages pass between them
+as the bytes of ROS 2's encoding, so that no field is copied by hand. A thread of rclpy waits for
+the answer to a call. Each service has its own thread: no emergency stop waits behind an arming.
 """
 
 from __future__ import annotations
@@ -37,25 +37,25 @@ from motord.bus.ros2.quality import Answer, Quality, Take
 from motord.bus.ros2.senders import unnamed
 
 ANSWER_WITHIN_S = 30.0
-"""Of a call; the daemon's own deadlines are shorter."""
+"""Deadline for the answer to a call; the daemon's own deadlines are shorter."""
 RESULT_WITHIN_S = 3660.0
-"""Of an action's goal: each has a time-out of its own, an hour at most."""
+"""Deadline for the result of an action's goal, whose own time-out is an hour at most."""
 NAMES_EVERY_S = 1.0
 WRITERS_MAX = 32
-"""New writers on a topic that are looked for at once, in that time."""
+"""Number of new writers on a topic whose names are read at once, in each NAMES_EVERY_S."""
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""rmw's, of a node whose participant has not named it yet."""
+"""Name that the ROS middleware interface (rmw) reports for a node whose name is not known yet."""
 _OWN = "motord_msgs"
 _PARTS = {"SendGoal": "SendGoalService", "GetResult": "GetResultService"}
-"""Of an action: its services, as ROS 2 names them in Python."""
+"""Part of an action's type → name of its service type in Python."""
 
 _log = logging.getLogger(__name__)
 
 
 @contextlib.contextmanager
 def opened(name: str, arguments: list[str]) -> Iterator[Node]:
-    """A node of that name, as ROS 2's arguments have it. Our log lines go to its log, too. Its
-    parameters are what it was started with; the services for them are the robot's."""
+    """Open a node of that name with ROS 2's arguments. Log lines of motord also go to its log. Its
+    parameters are those that it was started with; its parameter services are those of the robot."""
     context = Context()
     rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
@@ -78,7 +78,7 @@ def opened(name: str, arguments: list[str]) -> Iterator[Node]:
 
 
 def parameters_of(node: Node) -> dict[str, Any]:
-    """What it was started with, by name."""
+    """Return the parameters that the node was started with: name → value."""
     return {name: given.value for name, given in node.get_parameters_by_prefix("").items()}
 
 
@@ -87,11 +87,11 @@ class Ended(Exception):
 
 
 class RclpyNode:
-    """Topics and services are made before `run`."""
+    """Implements motord.bus.ros2.nodes.Node. Make topics and services before `run`."""
 
     def __init__(self, node: Node) -> None:
         self.remap: dict[str, str] = {}
-        """Unused: ROS 2 has its own rules."""
+        """Not used: ROS 2 applies its own remapping."""
         self._node = node
         self._thread_bridge = ThreadBridge()
         self._inboxes: list[Inbox[Any]] = []
@@ -99,18 +99,18 @@ class RclpyNode:
         self._missing: set[str] = set()
 
     def full(self, name: str) -> str:
-        """A name with its namespace, as ROS 2's remapping has it."""
+        """Return a name with its namespace, after ROS 2's remapping."""
         return str(self._node.resolve_topic_name(name.rstrip("/")))
 
     def publisher(self, name: str, kind: str, quality: Quality | None = None) -> Publisher:
-        """As Node.publisher."""
+        """Implement `Node.publisher`."""
         made = None
         if (found := self._type(kind)) is not None:
             made = self._node.create_publisher(found, name, _profile(quality or Quality()))
         return Publisher(made, kind)
 
     def subscribe(self, name: str, kind: str, take: Take, quality: Quality | None = None) -> None:
-        """As Node.subscribe."""
+        """Implement `Node.subscribe`."""
         quality = quality or Quality()
         ear = _Ear(self._node, name, kind, take)
         inbox: Inbox[tuple[bytes, Any]] = Inbox(quality.depth, ear.receive)
@@ -128,7 +128,7 @@ class RclpyNode:
     def serve(
         self, name: str, kind: str, answer: Answer, depth: int = 10, together: int = 1
     ) -> None:
-        """As Node.serve."""
+        """Implement `Node.serve`."""
         found = self._type(kind)
         if found is None:
             return
@@ -142,7 +142,8 @@ class RclpyNode:
     def _answer(
         self, name: str, kind: str, answer: Answer, within_s: float, asked: Any, response: Any
     ) -> Any:
-        """In a thread of rclpy."""
+        """Answer a call, in a thread of rclpy. A failure is logged and, if the response has a
+        message field, reported in it."""
         try:
             request = decode(f"{kind}_Request", serialize_message(asked))
             sent = self._thread_bridge.ask(lambda: answer(request), within_s)
@@ -154,8 +155,8 @@ class RclpyNode:
             return response
 
     def _type(self, kind: str) -> Any:
-        """The class of a type in Python. None, and a line in the log, for one of ours that was not
-        built. Raises ImportError."""
+        """Return the Python class of a message type. For a type of motord_msgs that was not built
+        log a warning and return None. Raise ImportError for any other missing type."""
         package, group, short = kind.split("/")
         try:
             module = import_module(f"{package}.{group}")
@@ -175,7 +176,7 @@ class RclpyNode:
         return getattr(getattr(module, action).Impl, _PARTS.get(part, part))
 
     async def run(self) -> None:
-        """Until cancelled. Raises Ended when ROS 2 ends it."""
+        """Run until cancelled. Raise Ended when ROS 2 shuts down."""
         executor = MultiThreadedExecutor(num_threads=self._threads, context=self._node.context)
         executor.add_node(self._node)
         for inbox in self._inboxes:
@@ -193,24 +194,24 @@ class RclpyNode:
 
 
 class Publisher:
-    """A topic. Without one (a type that is missing here) nothing is published."""
+    """Publishes a topic; `made` None (its type is missing): publishes nothing."""
 
     def __init__(self, made: Any, kind: str) -> None:
         self._made, self._kind = made, kind
         self._voice = RateLimitedLog(_log)
 
     def publish(self, message: Any) -> None:
-        """Never waits; what is not taken is lost."""
+        """Publish a message. Never wait: a message that is not taken is lost."""
         if self._made is None:
             return
         try:
             self._made.publish(bytes(encode(self._kind, message)))
-        except (RuntimeError, ValueError) as error:  # rclpy's own are RuntimeErrors
+        except (RuntimeError, ValueError) as error:  # rclpy raises RuntimeErrors
             self._voice.say(f"{self._kind}: not published: {error}")
 
 
 class Several(CallbackGroup):  # type: ignore[misc]  # rclpy is not there when types are checked
-    """Limits the callbacks that run at once."""
+    """Limits the number of callbacks that run at the same time."""
 
     def __init__(self, most: int) -> None:
         super().__init__()
@@ -218,12 +219,12 @@ class Several(CallbackGroup):  # type: ignore[misc]  # rclpy is not there when t
         self._lock = threading.Lock()
 
     def can_execute(self, entity: Any) -> bool:  # noqa: ARG002  CallbackGroup's own
-        """One more may begin."""
+        """Whether one more callback may begin."""
         with self._lock:
             return self._active < self._most
 
     def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
-        """One more begins, if it may."""
+        """Count one more callback that begins; return False if it may not."""
         with self._lock:
             if self._active == self._most:
                 return False
@@ -231,20 +232,21 @@ class Several(CallbackGroup):  # type: ignore[misc]  # rclpy is not there when t
             return True
 
     def ending_execution(self, entity: Any) -> None:  # noqa: ARG002
-        """One has ended."""
+        """Count one callback that has ended."""
         with self._lock:
             self._active -= 1
 
 
 class _ToRos(logging.Handler):
-    """rclpy allows one severity for each place in the source: each has a line of its own here."""
+    """Passes log records to the log of ROS 2. rclpy allows one severity for each line of source, so
+    each severity has its own line here."""
 
     def __init__(self, logger: Any) -> None:
         super().__init__(logging.INFO)
         self._logger = logger
 
     def emit(self, record: logging.LogRecord) -> None:
-        """As logging.Handler.emit."""
+        """Implement `logging.Handler.emit`."""
         text = record.getMessage()
         if record.levelno >= logging.ERROR:
             self._logger.error(text)
@@ -255,7 +257,7 @@ class _ToRos(logging.Handler):
 
 
 class _Ear:
-    """What comes on a topic, in the event loop."""
+    """Receives the messages of a topic, in the event loop."""
 
     def __init__(self, node: Node, name: str, kind: str, take: Take) -> None:
         self._node, self._name, self._kind, self._take = node, name, kind, take
@@ -271,14 +273,14 @@ class _Ear:
         except ValueError as error:
             self._voice.say(f"{self._name}: not understood: {error}")
             return
-        # Of which writer it is, only newer versions of rclpy say.
+        # Only newer versions of rclpy report which writer sent the message.
         gid = bytes((info.get("publisher_gid") or {}).get("data", b""))[:16]
         waited_s = self._delays.waited_s(gid, info["source_timestamp"])
         self._take(message, waited_s, self._sender(gid))
 
     def _sender(self, gid: bytes) -> str:
-        """The name of its node; of all that publish the topic where its writer is not known. A
-        writer that is new is looked for at once, one that the graph does not name each second."""
+        """Return the name of the node of this writer; without `gid`, the names of all nodes that
+        publish the topic. The names are read again at once for a new writer, else each second."""
         now_s = time.monotonic()
         if now_s - self._named_s >= NAMES_EVERY_S:
             self._named_s = now_s
@@ -294,8 +296,8 @@ class _Ear:
         return found[0] if len(found) == 1 else f"one of {', '.join(found) or 'those that left'}"
 
     def _publishers(self) -> dict[bytes, str]:
-        """Nodes that publish the topic, by writer. Of one that ROS 2 has just met it may not know
-        the node yet."""
+        """Return writer → node for the nodes that publish the topic. A new writer may be missing,
+        because ROS 2 does not know its node yet."""
         return {
             bytes(found.endpoint_gid)[:16]: f"{found.node_namespace.rstrip('/')}/{found.node_name}"
             for found in self._node.get_publishers_info_by_topic(self._name)
@@ -314,7 +316,7 @@ def _profile(quality: Quality) -> QoSProfile:
 
 
 def _spin(executor: MultiThreadedExecutor) -> None:
-    """In a thread of its own, until the context ends."""
+    """Run the executor, in its own thread, until the context ends."""
     try:
         executor.spin()
     except ExternalShutdownException:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What measures and shows motord: nothing here runs inside the daemon."""
+"""Tools that measure and show motord. Nothing here runs inside the daemon."""

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstration's course, and how well odometry followed the truth: pure."""
+"""The courses of the demonstration, and the error of odometry against the truth. Pure."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-# share of the whole time, m/s, rad/s: out, left, on, right round, back, a turn on the spot, home
+# share of the whole time, m/s, rad/s: out, left, on, round to the right, back, a turn on the spot,
+# home
 COURSE = (
     (0.16, 0.60, 0.0),
     (0.14, 0.45, 1.0),
@@ -19,9 +20,10 @@ COURSE = (
 CURVES = tuple(
     (share, linear_m_s or 0.45, angular_rad_s) for share, linear_m_s, angular_rad_s in COURSE
 )
-"""For a base that cannot turn on the spot."""
+"""The same course for a base that cannot turn on the spot."""
 Course = tuple[tuple[float, ...], ...]
-"""Share, m/s, rad/s, and m/s to the left where the base moves sideways."""
+"""Legs of a course: share of the whole time, m/s, rad/s, and, for a base that moves sideways, m/s
+to the left."""
 STRAFING: Course = (
     (0.14, 0.50, 0.0, 0.0),
     (0.14, 0.0, 0.0, 0.35),
@@ -31,7 +33,8 @@ STRAFING: Course = (
     (0.08, 0.0, -1.0, 0.0),
     (0.20, 0.20, -0.5, -0.30),
 )
-"""Out, sideways, aslant, sideways in a curve, back aslant, a turn on the spot, home in a circle."""
+"""Course of a base that moves sideways: out, sideways, diagonally, sideways in a curve, back
+diagonally, a turn on the spot, home in a circle."""
 CAR: Course = (
     (0.14, 0.60, 0.0),
     (0.16, 0.50, 0.6),
@@ -41,18 +44,18 @@ CAR: Course = (
     (0.12, 0.60, 0.0),
     (0.16, 0.50, -0.5),
 )
-"""Out, a curve, a turn in three moves (forward left, backward right, forward left), on, and a curve
-to the other side."""
+"""Course of a car: out, a curve, a turn in three moves (forward left, backward right, forward
+left), on, and a curve to the other side."""
 DISTANCE_ERROR_MAX_PERCENT = 1.0
 HEADING_ERROR_MAX_RAD = 0.02
 ESTIMATE_ERROR_MAX_PERCENT = 50.0
-"""Of the distance, where odometry is only an estimate: a wheel that turns in the wrong direction is
-found."""
+"""Limit for the error of the distance if odometry is only an estimate. It is enough to find a wheel
+that turns in the wrong direction."""
 
 
 def command_at(elapsed_s: float, seconds: float, course: Course = COURSE) -> tuple[float, ...]:
-    """The course's speeds at this moment: (linear m/s, angular rad/s), then lateral m/s where the
-    course has it; zero after its end."""
+    """Return the speeds of the course at this time: linear in m/s, angular in rad/s, and, if the
+    course has it, lateral in m/s. They are zero after its end."""
     left = elapsed_s / seconds
     for share, *speeds in course:
         if left < share:
@@ -71,13 +74,13 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Odometry against truth after the same drive."""
+    """The errors of odometry against the truth after one drive."""
 
     distance_m: float
     position_error_m: float
     heading_error_rad: float
     drift_percent: float
-    """Position error per distance travelled."""
+    """Position error as a part of the distance travelled."""
     distance_error_percent: float
 
     @property
@@ -89,12 +92,13 @@ class Score:
 
     @property
     def ok_as_estimate(self) -> bool:
-        """Only whether odometry goes in the direction in which the robot goes."""
+        """Whether odometry is good for an estimate: it goes in the direction of the robot."""
         return self.distance_error_percent <= ESTIMATE_ERROR_MAX_PERCENT
 
 
 def score(odometry: Pose, truth: Pose) -> Score:
-    """A robot that did not move has drifted by 100 per cent: there is nothing to be good at."""
+    """Compare odometry with the truth. For a robot that did not move, drift and distance error are
+    100 per cent."""
     position_error_m = math.hypot(odometry.x_m - truth.x_m, odometry.y_m - truth.y_m)
     turn_rad = odometry.heading_rad - truth.heading_rad
     moved = truth.distance_m > 0.0
@@ -112,9 +116,10 @@ def score(odometry: Pose, truth: Pose) -> Score:
 
 
 def draw(path: list[tuple[float, float]], columns: int = 64, rows: int = 16) -> str:
-    """The path from above: o the start, * the path, X the end. A cell is twice as high as wide."""
+    """Draw the path from above as text: o is the start, * the path, X the end. A character cell is
+    twice as high as wide."""
     xs, ys = [x for x, _ in path], [y for _, y in path]
-    # metres a column; a robot that stood still is one cell, not a division by zero
+    # metres for each column; 1e-9 avoids a division by zero if the robot stood still
     scale = max((max(xs) - min(xs)) / (columns - 1), (max(ys) - min(ys)) / (2.0 * (rows - 1)), 1e-9)
     height = round((max(ys) - min(ys)) / (2.0 * scale)) + 1
     grid = [[" "] * columns for _ in range(height)]

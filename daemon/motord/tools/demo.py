@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstration: simulated drives and the daemon, each its own process, and a course.
+"""The demonstration: simulated drives and the daemon, each in its own process, and a course.
 
-Nothing is special about the daemon here: it is the one that `motord run` starts, and what drives it
-is the client that any program uses.
+The daemon is the ordinary one that `motord run` starts, and the ordinary client commands it.
 """
 
 from __future__ import annotations
@@ -51,19 +50,19 @@ START_DEADLINE_S = 60.0
 REST_DEADLINE_S = 10.0
 STOP_DEADLINE_S = 10.0
 NICE = -10
-"""Of the daemon, where that is allowed: a robot's computer does little else."""
+"""Nice value of the daemon, if the system allows it: a robot's computer does little else."""
 
 Progress = Callable[[str], None]
 _stages = itertools.count(1)
 
 
 class DemoError(Exception):
-    """The demonstration could not be driven to its end; the message says why."""
+    """The demonstration failed; the message contains the reason."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """What was measured in this run, and nothing else."""
+    """The measured values of one run."""
 
     robot: str
     seconds: float
@@ -72,13 +71,13 @@ class Run:
 
     @property
     def ended_well(self) -> bool:
-        """Whatever it measured."""
+        """Whether the run ended well, without regard to the measured values."""
         idle = self.status["state"] == "idle" and not self.status["faults"]
         return idle and self.clean_exit
 
     @property
     def ok(self) -> bool:
-        """It ended well, and what it measured is good."""
+        """Whether the run ended well, and the measured values are good."""
         return self.ended_well
 
     def _json(self, measured: Mapping[str, Any]) -> dict[str, Any]:
@@ -102,18 +101,19 @@ class Run:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result(Run):
-    """Of a course."""
+    """The result of a course."""
 
     score: Score
     path: list[tuple[float, float]]
     source: Source = Source.COUNTERS
     chip_imu: bool = False
-    """The robot file names a gyro that nothing stands for here."""
+    """Whether the robot file has a gyro chip, which is not simulated."""
     drives_held_up_s: float = 0.0
     program_held_up_s: float = 0.0
-    """Longest time for which the simulated drives, and this program, got no processor."""
+    """Longest time for which this program got no processor; the field above is for the simulated
+    drives."""
     daemon_waited_part: float = 0.0
-    """Of its time, what the daemon's main thread waited for a processor."""
+    """Part of its time that the daemon's main thread waited for a processor."""
 
     @property
     def ok(self) -> bool:
@@ -122,7 +122,7 @@ class Result(Run):
         return good and self.ended_well
 
     def to_json(self) -> dict[str, Any]:
-        """The keys of `motord demo --json`."""
+        """Return the JSON object of `motord demo --json`."""
         measured = {
             "odometry": {
                 "distance_m": round(self.score.distance_m, 4),
@@ -146,7 +146,7 @@ class Result(Run):
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """The two processes, and how to reach them."""
+    """The two processes (simulator and daemon) and the connections to them."""
 
     daemon: subprocess.Popen[bytes]
     log: Path
@@ -158,7 +158,8 @@ class Stage:
         return float(self.sim.stats()["held_up_max_s"])
 
     def daemon_waited_s(self) -> float:
-        """For a processor, since its start; 0 where the kernel has no CONFIG_SCHED_INFO."""
+        """Return the time that the daemon has waited for a processor since its start; 0 if the
+        kernel has no CONFIG_SCHED_INFO."""
         try:
             text = Path(f"/proc/{self.daemon.pid}/schedstat").read_text(encoding="ascii")
         except OSError:
@@ -186,7 +187,7 @@ class Stage:
             time.sleep(0.05)
 
     def stop_daemon(self) -> bool:
-        """As a service manager would. True when it ended by itself and well."""
+        """Stop the daemon as a service manager does. Return whether it ended in time and well."""
         self.daemon.send_signal(signal.SIGTERM)
         try:
             return self.daemon.wait(STOP_DEADLINE_S) == 0
@@ -195,7 +196,7 @@ class Stage:
 
 
 def connect(daemon: subprocess.Popen[bytes], socket: Path, log: Path) -> Client:
-    """The daemon's socket appears when it listens."""
+    """Connect to the daemon once it listens on its socket. Raise DemoError if it does not."""
     end = time.monotonic() + START_DEADLINE_S
     while daemon.poll() is None and time.monotonic() < end:
         with contextlib.suppress(ClientError):
@@ -206,16 +207,17 @@ def connect(daemon: subprocess.Popen[bytes], socket: Path, log: Path) -> Client:
 
 @contextlib.contextmanager
 def staged(robot_file: Path, overrides: Sequence[str] = ()) -> Iterator[Stage]:
-    """Simulated drives and a daemon on them; both are gone afterwards, whatever happened. Both
-    run ahead of other programs where that is allowed, as hardware does: a counter that a
-    starved simulator leaves unchanged is a wheel that stands, to a loop that is on time."""
+    """Run simulated drives and a daemon on them in this block; both are gone afterwards, whatever
+    happened. Both get priority over other programs, if the system allows it. Otherwise a simulator
+    without a processor leaves a counter unchanged, which a loop in time takes for a standing
+    wheel."""
     with contextlib.ExitStack() as cleanup:
         folder = Path(cleanup.enter_context(tempfile.TemporaryDirectory(prefix="motord-demo-")))
         options = [f"--set={setting}" for setting in overrides]
         options += ["--priority=1"] if cleanup.enter_context(punctual()) else []
         sim = cleanup.enter_context(start_simulator(robot_file, link_dir=folder, options=options))
         log, socket = folder / "daemon.log", folder / "daemon.sock"
-        # a name of its own: a daemon of the same robot may be running on this machine
+        # its own name, because a daemon of the same robot may run on this machine
         name = f"{robot_file.stem}-{os.getpid()}-{next(_stages)}"
         settings = [*overrides, f"robot.name={name}", *sim.settings]
         cleanup.callback(own_page(name).unlink, missing_ok=True)
@@ -243,7 +245,7 @@ def staged(robot_file: Path, overrides: Sequence[str] = ()) -> Iterator[Stage]:
 
 
 def end(daemon: subprocess.Popen[bytes]) -> None:
-    """Last resort: the drives' own watchdogs stop the wheels."""
+    """Kill the daemon if it still runs. The drives' own watchdogs then stop the wheels."""
     if daemon.poll() is None:
         daemon.kill()
         daemon.wait()
@@ -251,14 +253,14 @@ def end(daemon: subprocess.Popen[bytes]) -> None:
 
 @dataclass(slots=True)
 class Ride:
-    """What one drive over the course left."""
+    """The data of one drive over a course."""
 
     path: list[tuple[float, float]] = field(default_factory=list)
-    """Where odometry saw the robot go."""
+    """Positions (x, y) in m, by odometry."""
     held_up_s: float = 0.0
-    """Latest command."""
+    """Greatest lateness of a command."""
     seconds: float = 0.0
-    """Until it was at rest again."""
+    """Duration until the robot was at rest again."""
     began_s: float = field(default_factory=time.monotonic)
     daemon_waited_before_s: float = 0.0
 
@@ -269,7 +271,8 @@ class Ride:
 
 @contextlib.contextmanager
 def riding(stage: Stage) -> Iterator[Ride]:
-    """Armed; then at rest, and disarmed. Raises DemoError for what the daemon refuses."""
+    """Arm the robot for this block; then bring it to rest and disarm it. Raise DemoError if the
+    daemon refuses a request."""
     stage.robot.arm()
     ride = Ride(daemon_waited_before_s=stage.daemon_waited_s())
     try:
@@ -284,7 +287,7 @@ def riding(stage: Stage) -> Iterator[Ride]:
 
 
 def drive(stage: Stage, course: Course, seconds: float, progress: Progress, ride: Ride) -> None:
-    """The course, as a program on the robot would drive it."""
+    """Drive the course, as a program on the robot does."""
     start = due = time.monotonic()
     while (elapsed_s := time.monotonic() - start) < seconds:
         stage.check()
@@ -308,7 +311,8 @@ def run_demo(
     progress: Progress,
     stay: Callable[[Stage], None] | None = None,
 ) -> Result:
-    """Drive the course once and measure; `stay` may then keep the stage up. Raises DemoError."""
+    """Drive the course once and measure. `stay` is called at the end, while both processes still
+    run. Raise DemoError if the demonstration fails."""
     with staged(robot_file, robot.overrides) as stage:
         progress("starting the drives")
         stage.wait("drives ready", lambda status: status["state"] == "idle", START_DEADLINE_S)
@@ -342,7 +346,8 @@ DASHBOARD = "dashboard"
 def show_dashboard(
     robot_file: Path, robot: Robot, port: int, stay: Callable[[Stage], None]
 ) -> None:
-    """Keep the stage up with a dashboard at that port, without a course. Raises DemoError."""
+    """Run both processes with a dashboard at that port, without a course, until `stay` returns.
+    Raise DemoError if that fails."""
     if _listens(port):
         raise DemoError(f"another program listens at TCP port {port}: choose another with --port")
     table = f"input.{DASHBOARD}"
@@ -371,7 +376,7 @@ def _listens(port: int) -> bool:
 
 
 def course_of(robot: Robot) -> Course:
-    """One that this base can drive, and that shows what it can."""
+    """Return the course that fits the robot's base."""
     if robot.base.strafes:
         return STRAFING
     if isinstance(robot.base, CarBase):
@@ -380,7 +385,7 @@ def course_of(robot: Robot) -> Course:
 
 
 def source_of(robot: Robot) -> Source:
-    """Where odometry comes from; of several wheels, the least exact."""
+    """Return what odometry is computed from: the least exact source of all wheels."""
     sources = {Source.COUNTERS}
     for joint in robot.joint.values():
         profile = robot.profiles[joint.drive]
@@ -391,8 +396,8 @@ def source_of(robot: Robot) -> Source:
 
 
 def refused(stage: Stage, ride: Ride, refusal: Refused) -> str:
-    """Why the course ended early: what the daemon refused, what it found before, and whether this
-    machine was too busy."""
+    """Return why the course ended early: the refused request, the daemon's reasons, whether this
+    machine was too busy, and the end of the log."""
     why = stage.robot.status()["why"]
     busy = held_up_words(stage.drives_held_up_s(), ride.held_up_s, ride.daemon_waited_part(stage))
     parts = [str(refusal), *(f"because: {text}" for text in why), busy, stage.tail()]
@@ -400,7 +405,7 @@ def refused(stage: Stage, ride: Ride, refusal: Refused) -> str:
 
 
 def measure(status: dict[str, Any], truth: RobotTruth) -> Score:
-    """Both have come to rest: where each says that the robot is."""
+    """Compare the pose of odometry with the true one, after the robot has come to rest."""
     odometry = status["odometry"]
     return score(
         Pose(odometry["x_m"], odometry["y_m"], odometry["heading_rad"], odometry["distance_m"]),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the figures of a demonstration mean: sentences for a person. Pure."""
+"""Sentences that explain the figures of a demonstration to a person. Pure."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from motord.tools.course import Score
 OVERRUNS_NORMAL_PERCENT = 2.0
 ERRORS_NORMAL_PERCENT = 2.0
 HELD_UP_MAX_S = 0.1
-"""Feedback counts for 0.25 s by default: a process that waits for longer than this is too close."""
+"""Longest acceptable wait for a processor. Feedback is fresh for 0.25 s by default, so a longer
+wait comes too near to that."""
 WAITED_MAX_PART = 0.1
 _ERRORS = {
     "no_reply": "no reply in time; the request was sent again",
@@ -23,7 +24,7 @@ _ERRORS = {
 
 
 class Source(enum.StrEnum):
-    """Where odometry comes from; of several wheels, the least exact."""
+    """What odometry is computed from: the least exact source of all wheels."""
 
     COUNTERS = "counters"
     SPEEDS = "speeds"
@@ -49,7 +50,7 @@ _WORTH = {
 
 
 def worth(source: Source, score: Score) -> str:
-    """How far this robot's odometry can be believed; of an estimate also how far off it was."""
+    """Return how exact this robot's odometry is; for an estimate, also its error in this run."""
     if source is Source.COUNTERS:
         return _WORTH[source]
     off = (
@@ -60,7 +61,7 @@ def worth(source: Source, score: Score) -> str:
 
 
 def overrun_words(loop: Mapping[str, Any]) -> str:
-    """Whether that many skipped ticks are normal; empty where none was."""
+    """Return whether the number of skipped ticks is normal; empty: no tick was skipped."""
     if not loop["overruns"]:
         return ""
     if loop["policy"] == "SCHED_OTHER":
@@ -80,7 +81,7 @@ def overrun_words(loop: Mapping[str, Any]) -> str:
 
 
 def error_words(line: Mapping[str, Any]) -> Iterator[str]:
-    """What each kind of error on a line is, and whether that many are normal here."""
+    """Yield what each kind of error on a line means, then whether their number is normal here."""
     errors = {kind: count for kind, count in line["errors"].items() if count}
     for kind in errors:
         if kind in _ERRORS:
@@ -100,8 +101,8 @@ def error_words(line: Mapping[str, Any]) -> Iterator[str]:
 
 
 def held_up_words(drives_s: float, program_s: float, daemon_part: float) -> str:
-    """Whether the machine was too busy for this measurement; empty: it was not. `daemon_part`: of
-    its time, what the daemon waited for a processor."""
+    """Return a warning if the machine was too busy for this measurement; empty: it was not.
+    `daemon_part` is the part of its time that the daemon waited for a processor."""
     if max(drives_s, program_s) <= HELD_UP_MAX_S and daemon_part <= WAITED_MAX_PART:
         return ""
     return (

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstration of a robot without a base: each joint goes to both ends and back, or turns in
-both directions, and what it did is compared with the simulator's truth."""
+"""The demonstration of a robot without a base. Each joint goes to both ends and back, or turns in
+both directions; the result is compared with the simulator's truth."""
 
 from __future__ import annotations
 
@@ -24,25 +24,26 @@ from motord.tools.demo import (
 )
 
 PART = 0.8
-"""Of its range or speed."""
+"""Part of a joint's range or speed that the demonstration uses."""
 ERROR_MAX_RAD = 0.03
-"""Between where a joint was to go and where it truly is, of one that measures its position; between
-the travel that was measured and the true one, of one that turns."""
+"""Largest good error: for a joint that takes positions, between its goal and its true position; for
+one that takes velocities, between its measured and its true travel."""
 ARRIVES_WITHIN_S = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointScore:
-    """What one joint did."""
+    """The result of one joint."""
 
     takes: str
-    """`position` or `velocity`."""
+    """Kind of set-points of the joint: `position` or `velocity`."""
     source: str
-    """`counters`, or `set-points` where nothing measures it: its angle is an estimate then."""
+    """`counters`, or `set-points` if no counter measures the joint: its angle is then an
+    estimate."""
     travel_rad: float
-    """True, summed over the legs."""
+    """True travel, summed over the legs."""
     error_rad: float
-    """The worst of all legs, by the truth."""
+    """Largest error of all legs (see ERROR_MAX_RAD)."""
 
     @property
     def ok(self) -> bool:
@@ -51,7 +52,7 @@ class JointScore:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointResult(Run):
-    """Of joints."""
+    """The result of a demonstration of joints."""
 
     joints: dict[str, JointScore]
 
@@ -60,7 +61,8 @@ class JointResult(Run):
         return self.ended_well and all(score.ok for score in self.joints.values())
 
     def to_json(self) -> dict[str, Any]:
-        """The keys of `motord demo --json`; in place of odometry what each joint did."""
+        """Return the JSON object of `motord demo --json`, with the results of the joints in place
+        of odometry."""
         joints = {
             name: {
                 "takes": score.takes,
@@ -80,7 +82,8 @@ class _Leg:
 
 
 def legs_of(robot: Robot) -> list[_Leg]:
-    """To one end, to the other one, and back; or forward, backward where it can, and to rest."""
+    """Return the three legs: joints that take positions go to one end, to the other one, and back;
+    others turn forward, backward if they can, and come to rest."""
     legs = [_Leg({}, {}) for _ in range(3)]
     for name, joint in robot.joint.items():
         profile = robot.profiles[joint.drive]
@@ -101,8 +104,7 @@ def run_joint_demo(
     progress: Progress,
     stay: Callable[[Stage], None] | None = None,
 ) -> JointResult:
-    """Move each joint and measure, for that long at least; `stay` as in run_demo. Raises
-    DemoError."""
+    """Move each joint and measure, for at least `seconds`. `stay` and errors as in `run_demo`."""
     with staged(robot_file, robot.overrides) as stage:
         progress("starting the drives")
         stage.wait("drives ready", lambda status: status["state"] == "idle", START_DEADLINE_S)
@@ -152,8 +154,8 @@ def _drive(stage: Stage, robot: Robot, seconds: float, progress: Progress) -> di
 
 
 def _follow(stage: Stage, leg: _Leg, seconds: float) -> None:
-    """Command for this time, and until all joints rest: positions are reached then, and joints that
-    turn have come to rest again."""
+    """Send the commands of a leg for this time, and until all joints have reached their positions
+    and are at rest. Raise DemoError if they are not in time."""
     start_s = time.monotonic()
     while True:
         stage.check()
@@ -174,7 +176,7 @@ def _arrived(stage: Stage, leg: _Leg) -> bool:
 
 
 def _positions(stage: Stage) -> tuple[dict[str, float], dict[str, float]]:
-    """True and shown, of joints that rest."""
+    """Return the true and the reported position of each joint. Call it when the joints rest."""
     truth, shown = stage.sim.truth().joints, stage.robot.status()["joints"]
     return (
         {name: joint.position_rad for name, joint in truth.items()},

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording's journal, run through the core again and compared bit for bit."""
+"""Runs the journal of a recording through the core again, and compares the results bit for bit."""
 
 from __future__ import annotations
 
@@ -29,42 +29,43 @@ _CDR_HEADER_BYTES = 4
 _CHECKPOINTS_KEPT = 8
 _PART_BYTES_MAX = 64 << 20
 DIFFERENCES_MAX = 50
-"""How many of the ticks that differ are described; all are counted."""
+"""Number of differing ticks that are described; all of them are counted."""
 
 
 class ReplayError(Exception):
-    """The recording cannot be replayed; the text says why and what to do."""
+    """The recording cannot be replayed; the text contains the reason and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A tick that differs."""
+    """A tick whose results differ from the recorded ones."""
 
     tick: int
     time_s: float
-    """Since the first tick that was compared."""
+    """Time since the first tick that was compared."""
     fields: list[Differing]
 
 
 @dataclass
 class Outcome:
-    """What a replay found. Ticks that no recorded state leads to are skipped."""
+    """The result of a replay. At the start and after a gap, the ticks before the next recorded
+    state are skipped."""
 
     ticks: int = 0
     seconds: float = 0.0
     checkpoints: int = 0
-    """States that were recorded in between and compared whole."""
+    """Number of recorded states that were compared with the core's whole state."""
     skipped: int = 0
     gaps: int = 0
-    """Places where records are missing: the replay went on from the next recorded state."""
+    """Places where records are missing; the replay goes on from the next recorded state."""
     differing_ticks: int = 0
     first_difference: str | None = None
     differences: list[Difference] = field(default_factory=list)
-    """The first of them."""
+    """The first DIFFERENCES_MAX ticks that differ."""
 
     @property
     def identical(self) -> bool:
-        """Everything that could be compared is the same, bit for bit."""
+        """Whether everything that could be compared is the same, bit for bit."""
         return self.ticks > 0 and self.differing_ticks == 0
 
 
@@ -72,8 +73,8 @@ Watch = Callable[[ReplayedCore], None]
 
 
 def replay(path: Path, watch: Watch = lambda _: None) -> Outcome:
-    """Step the core through the recording; `watch` is called after each tick. Raises ReplayError,
-    OSError."""
+    """Step the core through the recording; call `watch` after each tick. Raise ReplayError or
+    OSError if the recording cannot be read or replayed."""
     run = _Run(watch)
     for checkpoints, records in _messages(path):
         for checkpoint in checkpoints:
@@ -91,7 +92,7 @@ class _Run:
         self._core = ReplayedCore()
         self._watch = watch
         self._states: dict[int, bytes] = {}
-        """The newest recorded states, by the tick after which they were."""
+        """Tick → the state that was recorded after it, for the newest recorded states."""
 
     def note(self, checkpoint: bytes) -> None:
         self._states[tick_of_state(checkpoint)] = checkpoint
@@ -140,7 +141,7 @@ class _Run:
 
 
 def _messages(path: Path) -> Iterator[tuple[list[bytes], list[bytes]]]:
-    """States and records, message by message."""
+    """Yield the states and records of each message in the recording."""
     try:
         with path.open("rb") as file:
             for _, _, message in make_reader(file).iter_messages(topics=[TOPIC]):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS 2 package of our own types, `motord_msgs`, as colcon builds it. Sources: REP-149
+"""Writes `motord_msgs`, the ROS 2 package of motord's own types, for colcon. Sources: REP-149
 (package.xml), and the use of rosidl_generate_interfaces in ROS 2's tutorial on custom interfaces.
 """
 
@@ -51,7 +51,7 @@ ament_package()
 
 
 def package_files() -> dict[str, str]:
-    """Their text, by path below the package's folder."""
+    """Return the files of the package: path below its folder → text."""
     files, used = {}, {_ACTIONS_NEED}
     for name in sorted(TYPES):
         package, folder, word = name.split("/")
@@ -76,8 +76,8 @@ def package_files() -> dict[str, str]:
 
 
 def write_package(folder: Path) -> Path:
-    """The package, in a new folder of its name. Raises OSError; FileExistsError for one that is
-    there already."""
+    """Write the package to a new folder with its name, and return that folder. Raise
+    FileExistsError if the folder exists, or another OSError."""
     package = folder / PACKAGE
     package.mkdir(parents=True)
     for name, text in package_files().items():
@@ -88,7 +88,8 @@ def write_package(folder: Path) -> Path:
 
 
 def _version() -> str:
-    """Ours without what REP-149 does not know; 0.0.0 in a checkout that is not installed."""
+    """Return motord's version as three numbers, which is all that REP-149 allows; 0.0.0 if motord
+    is not installed."""
     try:
         found = re.match(r"\d+\.\d+\.\d+", metadata.version("motord"))
     except metadata.PackageNotFoundError:

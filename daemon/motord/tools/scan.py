@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which units are on an RS485 line: it reads, never writes. One request at a time, each with a
-deadline.
+"""Finds the units on an RS485 line. It only reads, one request at a time, each with a deadline.
 
-What answers a read of one register, be it with an exception, is there; then each drive profile's
-readable registers are read, and the profile fits as well as they answer within their ranges.
+A unit that answers a read of one register, even with an exception, is there. Then the readable
+registers of each drive profile are read. The more of them answer within their ranges, the better
+the profile fits.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ USUAL = (
     (115200, "none"), (9600, "none"), (19200, "even"), (19200, "none"), (9600, "even"),
     (57600, "none"), (38400, "none"), (115200, "even"), (1_000_000, "none"),
 )  # fmt: skip
-"""Baud rates and parities, the commonest first; MODBUS over Serial Line V1.02, 2.5.1 names 19200
-even as the default."""
+"""Usual baud rates and parities, the most common first. The default of MODBUS over Serial Line
+V1.02, 2.5.1 is 19200, even."""
 REPLY_WITHIN_S = 0.05
-"""From the request's last byte to the reply's first one: drives take a few milliseconds, adapters
-up to 16."""
+"""Longest time from the last byte of a request to the first of the reply: drives take a few
+milliseconds, adapters up to 16."""
 TRIES = 2
 REGISTERS_A_PROFILE = 24
 FITS_FROM = 0.5
@@ -55,13 +55,13 @@ DDSM_QUERY = 0x74
 ROBOCLAW_UNITS = range(0x80, 0x88)
 """All addresses that a RoboClaw can have."""
 ROBOCLAW_BATTERY = 24 << 8
-"""Read main battery voltage, by its command."""
+"""Address of the main battery voltage, made from the number of the command that reads it."""
 Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """A profile and how many of its registers answered as they should."""
+    """A profile and the number of its registers that answered within their ranges."""
 
     profile: str
     fitting: int
@@ -80,15 +80,16 @@ class Found:
     baudrate: int
     parity: str
     kind: str
-    """The line's kind in a robot file: "modbus-rtu", "ddsm", "roboclaw", "feetech", "dynamixel" or
-    "can"."""
+    """Kind of the line for a robot file: "modbus-rtu", "ddsm", "roboclaw", "feetech", "dynamixel"
+    or "can"."""
     answer: str
     matches: tuple[Match, ...] = ()
 
 
 @dataclass(slots=True)
 class Asker:
-    """An open port with one setting. Counts what came that was no answer."""
+    """Sends requests on an open port with one setting, and counts answers, echoes and bytes that
+    were no answer."""
 
     port: OpenPort
     baudrate: int
@@ -99,7 +100,7 @@ class Asker:
     turnaround_s: list[float] = field(default_factory=list)
 
     def ask(self, request: Request) -> Reply | None:
-        """The answer to exactly this request; None: there is none."""
+        """Send a Modbus request; return the answer to it. None: no valid answer came."""
         frame = build_request(request)
         return self._exchange(
             frame,
@@ -108,7 +109,8 @@ class Asker:
         )
 
     def ask_ddsm(self, unit: int) -> bytes | None:
-        """The answer of a drive with ten-byte frames to a query of its state."""
+        """Query the state of a drive with ten-byte frames (DDSM); return its answer. None: no valid
+        answer came."""
 
         def parse(reply: bytes) -> bytes:
             if reply[0] != unit or not ddsm.sealed(reply):
@@ -118,7 +120,8 @@ class Asker:
         return self._exchange(ddsm.build_request(unit, DDSM_QUERY, {}), (10,), parse)
 
     def ask_roboclaw(self, unit: int) -> tuple[int, ...] | None:
-        """Its battery voltage, raw."""
+        """Read the battery voltage of a RoboClaw; return the raw value. None: no valid answer
+        came."""
         request = Request(unit, Function.READ_HOLDING, ROBOCLAW_BATTERY, count=1)
 
         def parse(reply: bytes) -> tuple[int, ...]:
@@ -166,7 +169,7 @@ class Asker:
 
 
 def spec_of(port: str, baudrate: int, parity: str, direction: DirectionSpec) -> LineSpec:
-    """A line that is only looked at."""
+    """Return the spec of a line for the scan, without joints."""
     return LineSpec(
         index=0, name="scan", kind="modbus-rtu", port=port, baudrate=baudrate, parity=parity,
         stop_bits=1, cycle_hz=1.0, gap_s=None, engine="rt", joints=(), watchdog_s=1.0,
@@ -175,7 +178,7 @@ def spec_of(port: str, baudrate: int, parity: str, direction: DirectionSpec) -> 
 
 
 def bound_s(settings: Sequence[tuple[int, str]], units: Sequence[int]) -> float:
-    """The longest time that requests to all units can take."""
+    """Return the longest time that requests to all units with all settings can take."""
     each_s = [
         len(units) * (frame_time_s(8 + 10 + 20, baudrate, parity, 1) + 2 * REPLY_WITHIN_S + 0.008)
         for baudrate, parity in settings
@@ -193,8 +196,8 @@ def scan(
     within_s: float,
     say: Callable[[str], None],
 ) -> Iterator[Found]:
-    """Every unit that answers, setting by setting. Once one does, other baud rates are left out:
-    one line has one. Raises PortError."""
+    """Try the settings in turn and yield every unit that answers. After a setting with an answer
+    stop, because a line has one baud rate. Raise PortError if the port cannot be used."""
     end_s = time.monotonic() + within_s
     for baudrate, parity in settings:
         say(f"{baudrate} baud, parity {parity}: units {units[0]} to {units[-1]}")
@@ -264,11 +267,11 @@ def _profiles() -> Iterator[tuple[str, DriveProfile]]:
         try:
             yield name, load_profile(path)
         except ProfileError:
-            continue  # `motord drives` says what is wrong with it
+            continue  # `motord drives` shows the error in it
 
 
 def fingerprint(asker: Asker, unit: int) -> tuple[Match, ...]:
-    """Profiles by how well they fit, the best first; those that do not are left out."""
+    """Return the profiles that fit the unit, the best first."""
     read: dict[tuple[int, int], tuple[int, ...] | None] = {}
     matches = []
     for name, profile in _profiles():
@@ -288,7 +291,8 @@ def _fits(
     register: Register,
     read: dict[tuple[int, int], tuple[int, ...] | None],
 ) -> bool:
-    """It can be read, and what it holds is within its own range."""
+    """Whether the register can be read and its value is within its range. `read` caches the values
+    that were read."""
     place = register.address, register.type.words
     if place not in read:
         reply = None
@@ -309,11 +313,11 @@ def _fits(
 # --------------------------------------------------------------------------------------- direction
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """One method of turning the transceiver, and its result."""
+    """One method of switching the transceiver's direction, and its result."""
 
     name: str
     lines: tuple[str, ...]
-    """For the robot file."""
+    """Lines for the robot file that select this method."""
     asked: int = 0
     answers: int = 0
     echoes: int = 0
@@ -331,7 +335,7 @@ def directions(
     unit: int,
     directions: Iterable[tuple[str, DirectionSpec, tuple[str, ...]]],
 ) -> Iterator[Trial]:
-    """Each method with some reads of one unit."""
+    """Try each method with ASKED reads of one unit, and yield its result."""
     for name, direction, lines in directions:
         try:
             opened = open_port(spec_of(port, baudrate, parity, direction))

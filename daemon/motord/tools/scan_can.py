@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which drives are on a CAN bus. First it listens; only when no drive speaks by itself does it ask,
-protocol by protocol, and what it sends are reads. On a bus of which the protocol is known it sends
-requests of that protocol alone: the same identifier may be a command in another.
+"""Finds the drives on a CAN bus. The scan listens first. If it recognises no drive by its own
+frames, it sends reads, protocol by protocol. On a CAN bus whose protocol is known it sends requests
+of that protocol only, because the same identifier may be a command in another protocol.
 """
 
 from __future__ import annotations
@@ -22,21 +22,22 @@ from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.can.unix_client import UnixClient
 
 LISTEN_S = 2.2
-"""Heartbeats come ten times a second as delivered, on CANopen often once; two are needed."""
+"""Time to listen for two heartbeats. The default is ten a second, with CANopen often one."""
 HEARTBEATS_LEAST = 2
 ANSWERS_WITHIN_S = 0.1
-"""After the last request; drives take a few milliseconds."""
+"""Time to wait for answers after the last request; drives take a few milliseconds."""
 BETWEEN_S = 0.001
-"""Two requests: a CAN bus of 125 kbit/s carries them, and their answers."""
+"""Time between two requests: a CAN bus of 125 kbit/s carries them, and their answers."""
 CIA402_PROFILE = 402
-"""Device profile number in the low half of object 1000h (CiA 301, 7.5.2.1)."""
+"""Number of the device profile CiA 402, in the low half of object 1000h (CiA 301, 7.5.2.1)."""
 ODRIVE_STATES = range(15)
-"""AxisState: 0 undefined to 14 anticogging calibration."""
+"""Values of AxisState: 0 (undefined) to 14 (anticogging calibration)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One node that speaks a protocol. `about`: what it has shown of itself."""
+    """A node with its protocol. `about` describes how it was recognised; `profiles` are the names
+    of the profiles that may fit."""
 
     protocol: str
     node: int
@@ -45,26 +46,27 @@ class Node:
 
 
 class Sends(Protocol):
-    """A bus of python-can."""
+    """The interface of a python-can bus that the scan uses."""
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Raises can.CanError, OSError."""
+        """Send a frame. Raise can.CanError or OSError if that fails."""
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame."""
+        """Return the next frame; None: none came within `timeout`."""
 
 
 @dataclass(slots=True)
 class Received:
-    """What came so far, by protocol and node."""
+    """The nodes recognised so far: (protocol, node number) → node."""
 
     nodes: dict[tuple[str, int], Node] = field(default_factory=dict)
     heartbeats: Counter[int] = field(default_factory=Counter)
-    """By node, of what may be an ODrive: a single frame may be an answer of any protocol."""
+    """Number of heartbeats of each node that may be an ODrive. One frame is not enough, because it
+    may be an answer of any protocol."""
     frames: int = 0
 
     def add(self, message: can.Message) -> None:
-        """One frame that a drive may have sent."""
+        """Take a frame that a drive may have sent."""
         if message.is_error_frame or message.is_remote_frame:
             return
         self.frames += 1
@@ -72,7 +74,7 @@ class Received:
             if (node := recognise(message)) is not None:
                 self._put(node)
                 return
-        # an identifier of CANopen can look like one of ODrive's
+        # an identifier of CANopen can be equal to one of an ODrive
         canopen = {number for protocol, number in self.nodes if protocol == "CANopen"}
         if message.arbitration_id & 0x7F not in canopen and (node := _odrive(message)):
             self.heartbeats[node.node] += 1
@@ -83,24 +85,25 @@ class Received:
         before = self.nodes.get((node.protocol, node.node))
         if before is None or len(node.profiles) <= len(before.profiles):
             self.nodes[node.protocol, node.node] = node
-        if node.protocol == "CANopen":  # it may have been taken for one before its heartbeat came
+        if node.protocol == "CANopen":  # before its heartbeat it may have counted as an ODrive
             for key in [k for k in self.nodes if k[0] == "ODrive"]:
                 if (key[1] << 5 | 1) & 0x7F == node.node:
                     del self.nodes[key]
 
     @property
     def protocols(self) -> set[str]:
-        """Of the nodes."""
+        """The protocols of the nodes."""
         return {protocol for protocol, _ in self.nodes}
 
 
-# ---------------------------------------------------------------------------- what a frame shows
+# -------------------------------------------------------------------------- recognition of nodes
 def _standard(message: can.Message, low: int, high: int) -> bool:
     return not message.is_extended_id and low < message.arbitration_id <= high
 
 
 def _canopen(message: can.Message) -> Node | None:
-    """Heartbeat and boot-up (CiA 301, 7.2.8.3.2), and the answer to a read of 1000h."""
+    """Recognise a CANopen node by its heartbeat or boot-up (CiA 301, 7.2.8.3.2), or by its answer
+    to a read of object 1000h."""
     data, identifier = bytes(message.data), message.arbitration_id
     if _standard(message, 0x700, 0x77F) and len(data) == 1 and data[0] & 0x7F in (0, 4, 5, 0x7F):
         return Node("CANopen", identifier & 0x7F, "heartbeat", _CIA402_PROFILES)
@@ -113,7 +116,7 @@ def _canopen(message: can.Message) -> Node | None:
 
 
 def _odrive(message: can.Message) -> Node | None:
-    """Heartbeat, which has the state of the axis, and the answer that gives the firmware."""
+    """Recognise a frame that may be an ODrive's heartbeat, by the axis state in it."""
     data, identifier = bytes(message.data), message.arbitration_id
     if message.is_extended_id or len(data) != 8:
         return None
@@ -123,7 +126,8 @@ def _odrive(message: can.Message) -> Node | None:
 
 
 def odrive_version(message: can.Message) -> Node | None:
-    """The answer to a request that has been sent: CAN Protocol (0.6), Get_Version."""
+    """Recognise an ODrive by its answer to a request of its version (CAN Protocol 0.6,
+    Get_Version)."""
     data, identifier = bytes(message.data), message.arbitration_id
     if message.is_extended_id or len(data) != 8 or identifier & 0x1F or message.is_remote_frame:
         return None
@@ -132,7 +136,8 @@ def odrive_version(message: can.Message) -> Node | None:
 
 
 def _vesc(message: can.Message) -> Node | None:
-    """Status messages 1 to 5, which carry the sender, and PONG (vedderb/bldc, comm_can.md)."""
+    """Recognise a VESC by its status messages 1 to 5, which carry the sender, or by its answer PONG
+    (vedderb/bldc, comm_can.md)."""
     command = message.arbitration_id >> 8
     if not message.is_extended_id or message.is_fd:
         return None
@@ -144,14 +149,16 @@ def _vesc(message: can.Message) -> Node | None:
 
 
 def _rmd(message: can.Message) -> Node | None:
-    """Reply to command 9Ah, status 1 (MyActuator, Motor Motion Protocol V4.2, 2.14)."""
+    """Recognise an RMD by its reply to command 9Ah, status 1 (MyActuator, Motor Motion Protocol
+    V4.2, 2.14)."""
     if _standard(message, 0x240, 0x260) and len(message.data) == 8 and message.data[0] == 0x9A:
         return Node("RMD", message.arbitration_id - 0x240, "answers a read", ("rmd",))
     return None
 
 
 def _moteus(message: can.Message) -> Node | None:
-    """Reply to a read of register 0, the mode (mjbots/moteus, docs/protocol/can.md)."""
+    """Recognise a moteus by its reply to a read of register 0, the mode (mjbots/moteus,
+    docs/protocol/can.md)."""
     if message.is_fd and bytes(message.data[:2]) == b"\x21\x00":
         return Node("moteus", message.arbitration_id >> 8 & 0x7F, "answers a read", ("moteus",))
     return None
@@ -160,9 +167,9 @@ def _moteus(message: can.Message) -> Node | None:
 _CIA402_PROFILES = ("cia402", "cia402-csv", "cia402-torque")
 
 
-# ----------------------------------------------------------------------------- what is requested
+# -------------------------------------------------------------------------------------- requests
 def requests(protocol: str) -> Iterator[can.Message]:
-    """A read for each node that the protocol can have."""
+    """Yield a read for each node that the protocol can have."""
     if protocol == "CANopen":  # SDO upload of object 1000h: CiA 301, 7.2.4.3
         for node in range(1, 128):
             yield _message(0x600 + node, b"\x40\x00\x10\x00\x00\x00\x00\x00")
@@ -185,7 +192,7 @@ def _message(
 
 
 PROTOCOLS = ("CANopen", "VESC", "RMD", "moteus")
-"""That are asked for, in this order. An ODrive speaks by itself."""
+"""Protocols whose requests the scan sends, in this order. An ODrive sends heartbeats by itself."""
 
 
 # ----------------------------------------------------------------------------------------- the scan
@@ -196,7 +203,8 @@ def scan_can(
     say: Callable[[str], None],
     ended: Callable[[], bool] = lambda: False,
 ) -> list[Found]:
-    """Every node that speaks, by protocol and number. Raises PortError."""
+    """Scan a CAN bus; return the nodes found, by protocol and number. Raise PortError if the bus
+    cannot be opened or read."""
     with _opened(address, bitrate, data_bitrate) as bus:
         return Scan(bus, say, ended, fd=data_bitrate is not None).found(bitrate)
 
@@ -220,7 +228,7 @@ def _opened(address: str, bitrate: int, data_bitrate: int | None) -> Iterator[ca
 
 
 class Scan:
-    """One scan of an open bus."""
+    """A scan of an open CAN bus."""
 
     def __init__(
         self, bus: Sends, say: Callable[[str], None], ended: Callable[[], bool], *, fd: bool
@@ -229,7 +237,7 @@ class Scan:
         self.received = Received()
 
     def found(self, bitrate: int) -> list[Found]:
-        """Raises PortError."""
+        """Run the scan; return the nodes found. Raise PortError if the bus cannot be read."""
         self._say(f"listening for {LISTEN_S:g} s")
         self._take(LISTEN_S)
         if not self.received.nodes and self.received.frames:
@@ -267,7 +275,7 @@ class Scan:
                 return
 
     def _ask_odrives(self) -> None:
-        """Firmware 0.6 answers a request for its version; 0.5 has no such request."""
+        """Request the version of each ODrive: firmware 0.6 answers, 0.5 has no such request."""
         for node in [node for protocol, node in self.received.nodes if protocol == "ODrive"]:
             self._say(f"asking ODrive {node} for its version")
             self._put(can.Message(arbitration_id=node << 5, is_extended_id=False,
@@ -278,7 +286,7 @@ class Scan:
             self.received.nodes["ODrive", node] = next(found, old)
 
     def _put(self, message: can.Message) -> None:
-        # the queue is full where no node acknowledges: it is a CAN bus without an answer
+        # without a node that acknowledges, the queue becomes full: then there are no answers
         with contextlib.suppress(can.CanError, OSError):
             self._bus.send(message, timeout=0)
 
@@ -303,7 +311,7 @@ class Scan:
 def _known_profiles() -> Sequence[str]:
     known = []
     for name, path in list_profiles().items():
-        with contextlib.suppress(ProfileError):  # `motord drives` says what is wrong with it
+        with contextlib.suppress(ProfileError):  # `motord drives` shows the error in it
             load_profile(path)
             known.append(name)
     return known

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which bus servos are on a line: pings, and a read of the model number. Nothing is written."""
+"""Finds the bus servos on a line with pings and reads of the model number. It writes nothing."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ BAUDRATES = {
     "feetech": (1_000_000, 500_000, 115_200),
     "dynamixel": (1_000_000, 57_600, 115_200, 2_000_000, 3_000_000, 4_000_000, 4_500_000),
 }
-"""As delivered first; then what is usual."""
+"""Kind of servo → baud rates: first the default of the servos, then other usual ones."""
 REPLY_WITHIN_S = 0.05
 PING_ALL_WITHIN_S = 0.3
-"""A Dynamixel answers a ping of all later, the higher its unit is."""
+"""Time for the answers to a ping of all units: a Dynamixel with a higher unit answers later."""
 MODEL_NUMBER = "model_number"
-"""The register of a profile whose default is the model's number."""
+"""Name of the register whose default, in a profile, is the number of the model."""
 
 
 def received(port: OpenPort) -> bytes:
-    """What has come. Raises PortError."""
+    """Return the bytes that have come. Raise PortError if the port is lost."""
     try:
         data = os.read(port.fd, 512)
     except BlockingIOError:
@@ -47,14 +47,15 @@ def received(port: OpenPort) -> bytes:
 
 
 def servo_bound_s(baudrate: int, units: Iterable[int]) -> float:
-    """The longest time that the pings at this rate take."""
+    """Return the longest time that the pings at this baud rate take."""
     each = len(list(units)) * (REPLY_WITHIN_S + 0.01)
     feetech_s = each if baudrate in BAUDRATES["feetech"] else 0.0
     return feetech_s + (PING_ALL_WITHIN_S if baudrate in BAUDRATES["dynamixel"] else 0.0)
 
 
 def servos(port: OpenPort, baudrate: int, units: Iterable[int]) -> Iterator[tuple[str, int, str]]:
-    """Kind, unit and the profile whose model number it has, or "". Raises PortError."""
+    """Yield for each servo its kind, its unit and the profile for its model number ("": there is no
+    such profile). Raise PortError if the port is lost."""
     wanted = list(units)
     if baudrate in BAUDRATES["dynamixel"]:
         for unit in _ping_all(port, wanted):
@@ -73,13 +74,13 @@ def _ping_all(port: OpenPort, units: list[int]) -> list[int]:
 
 
 def _profile(port: OpenPort, kind: str, unit: int) -> str:
-    """The first profile of this kind that names the servo's model."""
+    """Return the first profile of this kind with the servo's model number; "": there is none."""
     packets = packets_of(kind)
     for name, path in list_profiles().items():
         try:
             profile = load_profile(path)
         except ProfileError:
-            continue  # `motord drives` says what is wrong with it
+            continue  # `motord drives` shows the error in it
         register = profile.registers.get(MODEL_NUMBER)
         if profile.protocol != kind or register is None:
             continue
@@ -101,7 +102,8 @@ def _ask(port: OpenPort, packets: Packets, unit: int, code: int, parameters: byt
 def _statuses(
     port: OpenPort, packets: Packets, request: bytes, within_s: float
 ) -> Iterator[Packet]:
-    """What is answered, without the copy that an adapter receives of its request."""
+    """Send a request and yield the answers to it. Skip the echo of the request that some adapters
+    receive."""
     port.flush()
     os.write(port.fd, request)
     end_s, data, first = time.monotonic() + within_s, b"", True

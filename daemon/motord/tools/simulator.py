@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator as a process of its own: start it, be connected to it, end it."""
+"""The simulator as its own process: start it, connect to it, end it."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ STOP_TIMEOUT_S = 5.0
 
 
 class Simulator:
-    """A running simulator process. As a context it is stopped at the end; it also stops when this
-    process goes away. `control` is connected to it."""
+    """A running simulator process. Used as a context manager, it is stopped at the end; it also
+    stops when this process ends. `control` is connected to it."""
 
     def __init__(self, process: subprocess.Popen[bytes], hello: dict[str, Any]) -> None:
         self.process = process
         self.robot: str = hello["robot"]
         self.ports: dict[str, str] = hello["ports"]
         self.settings: list[str] = hello["settings"]
-        """KEY=VALUE: what makes the robot file find the lines here."""
+        """Settings KEY=VALUE with which a robot file uses the simulated lines."""
         self.seed: int = hello["seed"]
         self.control_path: str = hello["control"]
         self.control = SimControl(self.control_path)
@@ -54,8 +54,8 @@ def start_simulator(
     options: Iterable[str] = (),
     timeout_s: float = START_TIMEOUT_S,
 ) -> Simulator:
-    """Start `motord simulate` and wait until its ports are there. `options` are further ones of its
-    command line, as in ("--tcp", "0"). Raises ControlError."""
+    """Start `motord simulate` and wait until its ports are there. `options` are more arguments of
+    its command line, for example ("--tcp", "0"). Raise ControlError if it does not start."""
     command = [sys.executable, "-m", "motord", "simulate", os.fspath(robot), "--json"]
     command += ["--stop-on-eof", *options]
     for fault in faults:
@@ -76,7 +76,7 @@ def start_simulator(
 
 
 def _first_line(process: subprocess.Popen[bytes], timeout_s: float) -> bytes:
-    """What came until the newline, the end or the deadline."""
+    """Return the bytes that came until the newline, the end or the deadline."""
     assert process.stdout is not None
     deadline_s = time.monotonic() + timeout_s
     line = b""

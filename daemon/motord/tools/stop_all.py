@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""After a daemon has died: every drive of its robot gets a stop. All lines at once, bounded."""
+"""Stops all drives of a robot whose daemon has died, on all lines at once, with a deadline."""
 
 from __future__ import annotations
 
@@ -16,32 +16,35 @@ from motord_hal.fieldbus.ports import LineSpec
 
 
 class DaemonRuns(Exception):
-    """A daemon drives this robot: the request belongs there."""
+    """A daemon runs for this robot: send it the stop instead."""
 
 
 @dataclass(frozen=True, slots=True)
 class Halted:
-    """What came of a line."""
+    """The result for one line."""
 
     line: str
     joints: tuple[str, ...]
     problems: tuple[str, ...]
-    """Empty: every drive has acknowledged that it stopped and that its power is off."""
+    """The stops that are not confirmed; empty: every drive has acknowledged that it stopped and
+    that its power is off."""
 
 
 async def stop_all(robot: Robot, within_s: float) -> tuple[Halted, ...]:
-    """Raises DaemonRuns; ProfileError for profiles that cannot be read."""
+    """Stop all drives of a robot, `within_s` at most for each line. Raise DaemonRuns, or
+    ProfileError for profiles that cannot be read."""
     name = robot.robot.name
     try:
-        # its daemon may be dead: the port shows whether it lives
+        # a socket that this user may not check does not count, because its daemon may be dead;
+        # if it is not, the locked port of the line shows that
         socket = find_socket(name, barred=False)
     except ClientError:
         pass
     else:
         raise DaemonRuns(f"the daemon of {name} runs ({socket}): use motord estop")
     specs = line_specs(robot, robot.profiles)
-    # exceptions come back as values, of whatever kind: one that was not foreseen on one line must
-    # not leave the motors of the other lines running
+    # exceptions of any kind come back as values: an unforeseen one on one line must not leave the
+    # motors of the other lines running
     results = await asyncio.gather(
         *(_problems(spec, within_s) for spec in specs), return_exceptions=True
     )

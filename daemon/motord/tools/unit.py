@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drop-in that narrows motord@ROBOT.service to the devices of one robot file.
+"""Makes the drop-in that limits motord@ROBOT.service to the devices of one robot file.
 
 Source: systemd.resource-control(5), DeviceAllow, with the names of device groups in /proc/devices.
 """
@@ -16,11 +16,13 @@ from motord.config.sections.line import CanLine, PwmLine, SerialLine
 _ALWAYS = "/dev/cpu_dma_latency"
 _GROUPS = re.compile(r"/dev/(ttyUSB|ttyACM|ttyAMA|ttyTHS|ttyS)\d+")
 _PLUGGED = ("char-ttyUSB", "char-ttyACM")
-"""An adapter by its serial number, or by a link of udev's: which of them it is, it decides."""
+"""Groups of an adapter that is named by its serial number or by a link of udev. It may belong to
+either group."""
 
 
 def drop_in(robot: Robot) -> str:
-    """What `systemctl edit` takes. CPUs are not in it: each thread keeps to those of the file."""
+    """Return the text of the drop-in, for `systemctl edit`. It does not limit CPUs: each thread
+    sets its own, by the robot file."""
     rows = ["[Service]", "DeviceAllow="]
     rows += [f"DeviceAllow={device} rw" for device in devices(robot)]
     if _writes_sysfs(robot):
@@ -33,7 +35,7 @@ def drop_in(robot: Robot) -> str:
 
 
 def devices(robot: Robot) -> list[str]:
-    """What the daemon opens, as DeviceAllow names it."""
+    """Return the devices that the daemon opens, in the form of DeviceAllow."""
     found = [_ALWAYS]
     for line in robot.line.values():
         if isinstance(line, CanLine):
@@ -62,7 +64,7 @@ def _of_port(port: str) -> tuple[str, ...]:
 
 
 def _of_can(line: CanLine) -> tuple[str, ...]:
-    """A network interface is no device."""
+    """Return the devices of a CAN line; empty for a network interface, which is no device."""
     if line.interface in ("slcan", "robotell", "seeedstudio"):
         return _of_port(line.channel.partition("@")[0])
     return ("char-usb_device",) if line.interface == "canalystii" else ()

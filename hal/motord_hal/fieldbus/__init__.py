@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all lines have in common, whatever their medium and engine."""
+"""The part that all lines share, on each medium and engine."""

@@ -11,11 +11,11 @@ from motord_hal.fieldbus.ports import EventKind
 Say = Callable[[EventKind, tuple[str, ...], str], None]
 
 STILL_ENABLED_TEXT = "stays enabled though it is disarmed: it is held at zero speed"
-"""Of a drive that did not get a power-off, or refused it; the text follows its name."""
+"""Text for a drive that did not get a power-off, or refused it; it follows the drive's name."""
 
 
 class FaultWatch:
-    """The fault word of one joint and what was last reported of it."""
+    """The newest fault word of one joint; reports each change of it once."""
 
     def __init__(self, joint: str, profile: DriveProfile, say: Say) -> None:
         self.word = 0
@@ -29,11 +29,11 @@ class FaultWatch:
 
     @property
     def stopping(self) -> int:
-        """The word without warnings, for the core."""
+        """The fault word without the bits or codes that are only warnings, for the core."""
         return self._profile.stopping_faults(self.word)
 
     def update(self, word: int) -> None:
-        """Note the newest word; report new faults, and once when all are gone."""
+        """Store the newest fault word; report new faults and warnings, and when all faults end."""
         if word == self.word:
             return
         before = set(self._profile.faults_in(self.word))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stopping the drives of a line whose program has died: an ordinary line, which begins with a quick
-stop instead of a set-up, and is shut down when its drives report no power."""
+"""Stop the drives of a line whose program has died. For this an ordinary line runs that begins with
+a quick stop instead of a set-up; it is shut down when its drives report that they have no power."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from motord_hal.realtime.drive_state import STOPPING_WITHIN_S
 from motord_hal.realtime.exchange import Exchange
 
 CONFIRM_WITHIN_S = 0.75
-"""After the longest quick stop: time for a drive to report that it has no power."""
+"""Time after the longest quick stop in which a drive has to report that it has no power."""
 LOOK_EVERY_S = 0.01
 
 
 async def halt_line(spec: LineSpec) -> list[str]:
-    """Quick stop, then power off, on every drive of a line that no daemon runs. Nothing is read
-    before the stop is sent, and nothing else is written. Returns what was not confirmed, in words.
-    Raises PortError if the line cannot be opened."""
+    """Send a quick stop, then a power-off, to every drive of a line that no daemon runs. Read
+    nothing before the stop is sent, and write nothing else. Return a text for each drive whose
+    power-off is not confirmed. Raise PortError if the line cannot be opened."""
     if spec.kind == "pwm":
-        from motord_hal.pwm.pins import rest_pins  # a robot loads only the lines that it has
+        from motord_hal.pwm.pins import rest_pins  # imported only if there is such a line
 
         return await rest_pins(spec)
     events = _Events()
@@ -51,14 +51,15 @@ async def halt_line(spec: LineSpec) -> list[str]:
     if events.lost and not events.opened:
         raise PortError(events.lost)
     for names, text in events.left_on.items():
-        if names not in _drives_that_report(spec):  # for such a drive its own report counts
+        if names not in _drives_that_report(spec):  # if it can report, its report counts
             problems.setdefault(names, text)
     return list(problems.values())
 
 
 def _drives_that_report(spec: LineSpec) -> set[tuple[str, ...]]:
-    """The names of each drive's joints. The end of a line knows less than a read: it uses only
-    frames that come by themselves, and a node that is not operational sends none."""
+    """Return the joint names of each drive that can report whether it has power. For these a read
+    counts more than the event at the end of the line, which follows only from frames that come by
+    themselves: a node that is not operational sends none."""
     return {
         tuple(joint.name for joint in joints)
         for joints in joints_by_unit(spec)
@@ -67,7 +68,7 @@ def _drives_that_report(spec: LineSpec) -> set[tuple[str, ...]]:
 
 
 def _left_running(spec: LineSpec) -> LineSpec:
-    """The same line, with nothing to set up."""
+    """Return the spec of the same line, with drives left running and nothing to set up."""
     joints = (
         replace(joint, profile=replace(joint.profile, configure=(), watchdog=None))
         for joint in spec.joints
@@ -77,14 +78,14 @@ def _left_running(spec: LineSpec) -> LineSpec:
 
 @dataclass(slots=True)
 class _Events:
-    """What the line reports."""
+    """Collects the events that the line reports."""
 
     first: asyncio.Event = field(default_factory=asyncio.Event)
     opened: bool = False
     lost: str = ""
-    """Why the medium is not there."""
+    """Reason why the medium is lost or cannot be opened; empty: it is neither."""
     left_on: dict[tuple[str, ...], str] = field(default_factory=dict)
-    """Names of a drive's joints → why it may still have power."""
+    """Names of a drive's joints → reason why the drive may still have power."""
 
     def take(self, event: LineEvent) -> None:
         self.first.set()
@@ -100,8 +101,8 @@ class _Events:
 
 
 async def _until_off(line: DriveLine[Any], events: _Events) -> dict[tuple[str, ...], str]:
-    """Wait until all drives have stopped and have no power, or time is up. Returns the drives for
-    which that is not confirmed, by the names of their joints, with the reason."""
+    """Wait until all drives have stopped and have no power, or time is up. Return a dictionary of
+    the drives for which that is not confirmed: names of the drive's joints → reason."""
     await events.first.wait()
     until_s = now_s() + STOPPING_WITHIN_S + CONFIRM_WITHIN_S
     drives = list(joints_by_unit(line.spec))
@@ -113,7 +114,8 @@ async def _until_off(line: DriveLine[Any], events: _Events) -> dict[tuple[str, .
 async def _until_drive_off(
     line: DriveLine[Any], joints: Sequence[JointSpec], until_s: float
 ) -> str:
-    """Returns why it may still have power; empty: it is off."""
+    """Wait until one drive is off, or time is up. Return the reason why it may still have power;
+    empty: it is off."""
     names = ", ".join(joint.name for joint in joints)
     report, failure = "", "did not report whether it has power"
     while line.state is not LineState.CLOSED:
@@ -137,8 +139,8 @@ async def _until_drive_off(
 
 
 async def _report(line: DriveLine[Any], joint: JointSpec) -> str:
-    """Why the drive may have power, or may turn, by its own report; empty: it is off. Raises
-    HalError."""
+    """Return the reason why the drive may have power, or may turn, by its own report; empty: it is
+    off. Raise HalError if the report cannot be read."""
     profile = joint.profile
     if profile.enabled is not None or profile.power_off is not None:
         # some drives are not enabled while they brake: only a report after the power-off counts
@@ -159,15 +161,17 @@ async def _report(line: DriveLine[Any], joint: JointSpec) -> str:
 
 
 def _nothing_answers(spec: LineSpec) -> bool:
-    """Such a line knows only that its port has taken the bytes."""
+    """Whether the line's board sends nothing, so that the line knows only that its port has taken
+    the bytes."""
     return spec.kind == "sabertooth" or (
         spec.kind == "ascii" and spec.text is not None and not spec.text.feedback
     )
 
 
 async def _holds(line: DriveLine[Any], joint: JointSpec, place: Enabled) -> bool:
-    """Whether the drive reports it. Of a CAN drive the object is read, which works also when its
-    frames do not come. Raises HalError."""
+    """Read whether the register of `place` has the value that `place` demands. For a signal of a
+    CAN drive read its object, which works also when its frames do not come. Raise HalError if the
+    read fails."""
     registers = joint.profile.registers
     found = registers[place.register]
     register = (isinstance(found, Signal) and found.object) or place.register

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A sequence of steps for a drive, done in acyclic slots: one exchange a slot."""
+"""A job is a sequence of steps for a drive. It is done in acyclic slots, one exchange a slot."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 _ALL_BITS = 0xFFFFFFFF
 VERIFY_WITHIN_S = 0.5
-"""How long it may take until a written value reads back."""
+"""Longest time until a written value reads back."""
 
 
 class Job:
-    """Steps, the current one, and the future of the caller that waits for the end."""
+    """A job: its steps, the current step, and the future of the caller that waits for the end."""
 
     def __init__(self, name: str, steps: Sequence[Step], *, urgent: bool = False) -> None:
         from asyncio import get_running_loop  # reading a robot file needs no asyncio
@@ -30,11 +30,12 @@ class Job:
         self.failures = 0
         self.done: asyncio.Future[None] = get_running_loop().create_future()
         self.raw = 0
-        """The value that the newest wait has read."""
+        """The raw value that the newest wait has read."""
         self.wait_until_s: float | None = None
-        """Deadline of the current wait; None: it has not begun."""
+        """Deadline of the current wait; None: the wait has not begun."""
         self.refused: HalError | None = None
-        """Why the drive refused a step, if the other steps were still done."""
+        """The drive's refusal of a step after which the other steps were still done; None: no
+        step was refused."""
         self._index = 0
 
     @property
@@ -64,13 +65,13 @@ class Job:
             self.done.exception()  # its caller may have given up
 
     def limit_s(self, slot_s: float, tries: int) -> float:
-        """How long it may take at worst, when a slot comes every `slot_s`."""
+        """Return the longest time that the job may take if there is a slot every `slot_s`."""
         return sum(step.within_s + slot_s * (tries + 1) for step in self.steps) + slot_s
 
 
 def watchdog_time_s(profile: DriveProfile, wanted_s: float) -> float:
-    """The silence after which the drive stops by itself: as requested, within its limits; infinity:
-    it has no watchdog."""
+    """Return the time without requests after which the drive stops by itself: `wanted_s`, within
+    the limits of the drive; infinity if it has no watchdog."""
     watchdog = profile.watchdog
     if watchdog is None:
         return math.inf
@@ -78,8 +79,8 @@ def watchdog_time_s(profile: DriveProfile, wanted_s: float) -> float:
 
 
 def configure_steps(profile: DriveProfile, watchdog_s: float) -> tuple[Step, ...]:
-    """The profile's own steps, then its watchdog; every level that they write is read back, if
-    the drive reports it."""
+    """Return the set-up steps: those of the profile, then the watchdog. Values that stay in force
+    (levels) are read back if the drive can report them."""
     watchdog = profile.watchdog
     steps = (*profile.configure, *(read_back(step) for step in _unverified(profile)))
     if watchdog is None:
@@ -91,14 +92,14 @@ def configure_steps(profile: DriveProfile, watchdog_s: float) -> tuple[Step, ...
 
 
 def read_back(write: Step) -> Step:
-    """The wait until the register reads as it was written."""
+    """Return the step that waits until the register reads as it was written."""
     assert write.value is not None  # a write
     return Step(register=write.register, equals=write.value & _ALL_BITS, within_s=VERIFY_WITHIN_S)
 
 
 def _unverified(profile: DriveProfile) -> tuple[Step, ...]:
-    """The last write of each level that the profile's own steps do not wait for. Set-points and
-    what other sequences write, too, are commands: their value depends on later writes."""
+    """Return the last write of each level that the profile's own steps do not wait for. Set-points
+    and registers that other sequences write, too, are no levels: later writes change them."""
     others = (profile.arm, profile.disarm, profile.quick_stop, profile.clear_fault)
     commands = {step.register for steps in others for step in steps if step.value is not None}
     for channel in profile.channels.values():
@@ -113,19 +114,20 @@ def _unverified(profile: DriveProfile) -> tuple[Step, ...]:
 
 
 def kept_steps(steps: Sequence[Step]) -> tuple[Step, ...]:
-    """The waits for what the same steps have written: they hold until the drive loses its set-up,
-    for example by a power cut too short to be noticed."""
+    """Return the waits for values that the same steps have written. They stay true until the drive
+    loses its set-up, for example by a power cut too short to be noticed."""
     written = {(step.register, step.value & _ALL_BITS) for step in steps if step.value is not None}
     return tuple(step for step in steps if (step.register, step.equals) in written)
 
 
 def kept_registers(profile: DriveProfile) -> tuple[str, ...]:
-    """The registers that `kept_steps` of its set-up read."""
+    """Return the registers that the `kept_steps` of the drive's set-up read."""
     return tuple(step.register for step in kept_steps(configure_steps(profile, 0.0)))
 
 
 def clear_steps(profile: DriveProfile) -> tuple[Step, ...]:
-    """The profile's own steps, then a check that the faults are gone (warnings may stay)."""
+    """Return the fault-clearing steps: those of the profile, then a check that the faults are gone
+    (warnings may stay)."""
     warnings = sum(
         1 << fault.bit
         for fault in profile.faults

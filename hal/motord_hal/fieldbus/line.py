@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every line does, on each engine. This is where a line begins and where it ends:
-however it ends, its drives are brought to rest before its medium is closed.
+"""What every line does, on each engine: open its medium, run, reopen, shut down. However a line
+ends, its drives are brought to rest before its medium is closed.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ REOPEN_FIRST_S = 0.1
 REOPEN_LIMIT_S = 2.0
 SETPOINT_LOOK_EVERY_S = 0.02
 SETPOINT_LOOKS = 50
-"""Looks before arming is refused: a number, not a time, because what delays the loop may delay this
-process, too."""
+"""Number of looks for fresh set-points before arming is refused. It is not a time, because what
+delays the loop may delay this process, too."""
 NO_SETPOINTS = "no fresh set-points: is the loop running?"
 PRESENT = (DriveState.READY, DriveState.ARMED)
 """States of a drive that is set up and responds."""
 
 
 class DriveOnLine(Protocol):
-    """What a line needs of each of its drives, whatever its engine."""
+    """The interface that a line needs from each of its drives, on each engine."""
 
     @property
     def state(self) -> DriveState: ...
@@ -51,10 +51,10 @@ class DriveOnLine(Protocol):
 
 
 class LineTask(abc.ABC):
-    """The life of a medium: opened, used, lost, opened again, and closed in the end."""
+    """The task of a line: it opens the medium, uses it, reopens it after a loss, and closes it."""
 
     _drives: Sequence[DriveOnLine] = ()
-    """None if only C has them."""
+    """Empty if only the thread in C handles the drives."""
 
     def __init__(self, spec: LineSpec, listener: Listener) -> None:
         self.spec = spec
@@ -67,27 +67,27 @@ class LineTask(abc.ABC):
         self._reopened = 0
         self._backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
 
-    # ------------------------------------------------------------------------------- its own medium
+    # ----------------------------------------------------------------------------------- the medium
     @abc.abstractmethod
     async def _open_medium(self) -> str:
-        """Open it, with a deadline; returns the text of its event. Raises HalError; then, and when
-        it is cancelled, `_close_medium` closes what was opened."""
+        """Open the medium, with a deadline; return the text of its event. Raise HalError on
+        failure. After that, or a cancellation, `_close_medium` closes what was opened."""
 
     @abc.abstractmethod
     async def _work(self) -> None:
-        """Run the drives until the medium is lost; then raises PortError with the reason."""
+        """Run the drives until the medium is lost; then raise PortError with the reason."""
 
     @abc.abstractmethod
     async def _shut_down(self) -> None:
-        """Every drive stops, then loses its power, within a deadline; what fails is reported."""
+        """Stop every drive, then power it off, within a deadline; report what fails."""
 
     @abc.abstractmethod
     def _close_medium(self) -> None:
-        """Nothing happens when it is not open."""
+        """Close the medium. Do nothing if it is not open."""
 
     # ------------------------------------------------------------------------------------ the task
     async def run(self) -> None:
-        """As ports.Line.run. It shuts the drives down also when a bug ends it."""
+        """Implement `ports.Line.run`. Shut the drives down also if a bug ends the task."""
         try:
             while True:
                 await self._open()
@@ -123,13 +123,13 @@ class LineTask(abc.ABC):
             self._say_all(EventKind.LINE_LOST, f"{self.spec.name}: {error}")
 
     def _close(self, error: HalError) -> None:
-        """`error` goes to callers that wait for a drive."""
+        """Close the medium, and raise `error` in the callers that wait for a drive."""
         self._is_open = False
         self._close_medium()
         for drive in self._drives:
             drive.lose(error)
 
-    # --------------------------------------------------------------------------- what it reports
+    # ------------------------------------------------------------------------------------ events
     def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
         self._listener(LineEvent(kind, self.spec.name, joints, text))
 
@@ -137,7 +137,7 @@ class LineTask(abc.ABC):
         self._say(kind, tuple(joint.name for joint in self.spec.joints), text)
 
     def _check_open(self) -> None:
-        """Raises PortError."""
+        """Raise PortError if the medium is not open."""
         if not self._is_open:
             raise PortError(f"{self.spec.name} is not open on {self.spec.port}")
 
@@ -146,7 +146,7 @@ AnyDrive = TypeVar("AnyDrive", bound=DriveOnLine)
 
 
 class DriveLine(LineTask, Generic[AnyDrive]):
-    """A line with drives that answer: one or more joints each."""
+    """A line with drives that answer, each with one or more joints."""
 
     _drives: Sequence[AnyDrive]
 
@@ -167,40 +167,40 @@ class DriveLine(LineTask, Generic[AnyDrive]):
         return {name: watch.words for drive in self._drives for name, watch in drive.faults.items()}
 
     def is_stopping(self, joint: str) -> bool:
-        """Its drive was sent a quick stop, and no power-off since."""
+        """Whether the joint's drive was sent a quick stop, and no power-off since."""
         return self._drive_of(joint).is_stopping
 
     def _say_left_on(self, drives: Sequence[AnyDrive], why: str = "") -> None:
-        """They may still have power when the medium is closed."""
+        """Report drives that may still have power when the medium is closed."""
         for drive in drives:
             text = f"{self.spec.name}: {', '.join(drive.names)} not switched off at the end"
             self._say(EventKind.DRIVE_LEFT_ON, drive.names, ": ".join(filter(None, (text, why))))
 
-    # --------------------------------------------------------------------------------- its engine's
+    # -------------------------------------------------------------------------- parts of the engine
     @abc.abstractmethod
     def _setpoints_ns(self) -> int:
-        """When the newest set-points were made."""
+        """Return the stamp of the newest set-points."""
 
     @abc.abstractmethod
     async def _arm(self, drives: Sequence[AnyDrive]) -> None:
-        """Enable these drives, at zero speed. Raises the first HalError."""
+        """Enable these drives, at zero speed. Raise the first HalError."""
 
     @abc.abstractmethod
     async def _stand_down(self, drives: Sequence[AnyDrive]) -> None:
-        """Zero and no power: begins at once on all of these, and goes on if the caller gives up.
-        Raises the first HalError when all have ended."""
+        """Send zero speed and power-off to these drives. Begin on all of them at once, and go on if
+        the caller gives up. Raise the first HalError when all have ended."""
 
     @abc.abstractmethod
     async def _clear(self, drives: Sequence[AnyDrive]) -> None:
-        """Power off, then the steps that clear a fault. Raises the first HalError."""
+        """Power these drives off, then run the fault-clearing steps. Raise the first HalError."""
 
     @abc.abstractmethod
     async def read_register(self, joint: str, register: str) -> float:
-        """As ports.Line.read_register."""
+        """Implement `ports.Line.read_register`."""
 
-    # ---------------------------------------------------------------------------------- its orders
+    # ------------------------------------------------------------------------------------ commands
     async def arm(self) -> None:
-        """As ports.Line.arm. If one drive cannot be armed, all are disarmed."""
+        """Implement `ports.Line.arm`. If one drive cannot be armed, disarm all."""
         await self._be_ready_to_arm()
         armed = False
         try:
@@ -212,8 +212,8 @@ class DriveLine(LineTask, Generic[AnyDrive]):
                     drive.stand_down()
 
     async def _be_ready_to_arm(self) -> None:
-        """Wait for a loop that sends set-points: nothing is armed without one, and a delayed one
-        goes on soon. Raises HalError."""
+        """Wait until the loop sends fresh set-points: without them no drive is armed, and a delayed
+        loop sends some soon. Raise HalError if none come, or a drive cannot be armed."""
         for _ in range(SETPOINT_LOOKS):
             self._check_open()
             setpoints_ns = self._setpoints_ns()
@@ -224,7 +224,7 @@ class DriveLine(LineTask, Generic[AnyDrive]):
         raise HalError(f"{self.spec.name}: {NO_SETPOINTS}")
 
     def _check_drives(self) -> None:
-        """Raises HalError, for a drive that cannot be armed."""
+        """Raise HalError if a drive cannot be armed."""
         for drive in self._drives:
             if drive.state not in PRESENT:
                 raise NoReply(f"{drive} is {drive.state.value}: it cannot be armed")
@@ -235,14 +235,14 @@ class DriveLine(LineTask, Generic[AnyDrive]):
                     raise DriveFault(f"{name} reports {', '.join(watch.words)}")
 
     async def disarm(self) -> None:
-        """As ports.Line.disarm. From the call on, every set-point is zero."""
+        """Implement `ports.Line.disarm`. From the call on, every set-point is zero."""
         self._check_open()
         await self._stand_down(
             [one for one in self._drives if one.state is not DriveState.UNRESPONSIVE]
         )
 
     async def clear_faults(self) -> None:
-        """As ports.Line.clear_faults. Drives without a fault are left as they are."""
+        """Implement `ports.Line.clear_faults`. Leave drives without a fault as they are."""
         self._check_open()
         faulty = [one for one in self._drives if any(watch.word for watch in one.faults.values())]
         await self._clear([drive for drive in faulty if drive.state in PRESENT])

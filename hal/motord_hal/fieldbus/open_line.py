@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a line's kind to the class that drives it."""
+"""Select the class for a line by its kind and engine."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from motord_hal.base.errors import HalError, ProfileError
 from motord_hal.fieldbus.ports import Line, LineSpec, Listener
 from motord_hal.realtime.exchange import Exchange
 
-# Tables of strings: a robot loads only the lines that it has.
+# Strings, not classes: only the modules of a robot's own lines are imported.
 KINDS = MappingProxyType(
     {
         ("modbus-rtu", "asyncio"): "motord_hal.modbus.line:ModbusRtuLine",
@@ -34,12 +34,12 @@ KINDS = MappingProxyType(
 )
 
 RT_CAN_INTERFACES = ("socketcan", "unix")
-"""The others are reached through python-can alone."""
+"""CAN interfaces that the engine "rt" can use; python-can alone has the others."""
 
 
 def engine_of(spec: LineSpec) -> str:
-    """ "rt" or "asyncio" for `spec.engine`; "auto" is rt if the kind has it, for CAN only on the
-    kernel's adapters."""
+    """Return "rt" or "asyncio" for `spec.engine`. "auto" means rt if there is one for the kind, for
+    CAN only on an interface of RT_CAN_INTERFACES."""
     if spec.engine != "auto":
         return spec.engine
     if spec.kind == "can" and spec.port.partition(":")[0] not in RT_CAN_INTERFACES:
@@ -48,8 +48,8 @@ def engine_of(spec: LineSpec) -> str:
 
 
 def open_line(spec: LineSpec, exchange: Exchange, listener: Listener) -> Line:
-    """The line for a spec; nothing is opened before its `run()`. Raises HalError for an unknown
-    kind or engine and ProfileError for joints that cannot share a line."""
+    """Make the line for a spec; its `run()` opens the medium. Raise HalError for an unknown kind or
+    engine, and ProfileError for joints that cannot be on this line."""
     engine = engine_of(spec)
     if spec.kind == "can" and engine == "rt" and engine_of(replace(spec, engine="auto")) != "rt":
         raise HalError(f'{spec.name}: engine "rt" needs SocketCAN, not {spec.port}')

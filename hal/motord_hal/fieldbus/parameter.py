@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which registers of a drive a user may read and write, and with which values: pure."""
+"""Registers of a drive that a user may read and write, and the values allowed for them. Pure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from motord_hal.fieldbus.job import read_back
 
 
 def readable(profile: DriveProfile, name: str) -> Register:
-    """Raises LookupError for a register that does not exist or cannot be read."""
+    """Return a register by its name. Raise LookupError if it does not exist or cannot be read."""
     register = profile.registers.get(name)
     if register is None:
         raise LookupError(f'{profile.name} has no register "{name}"')
@@ -20,7 +20,8 @@ def readable(profile: DriveProfile, name: str) -> Register:
 
 
 def kept_back(profile: DriveProfile) -> frozenset[str]:
-    """Registers that motord itself writes: set-points, directions, steps and the watchdog."""
+    """Return the registers that motord itself writes, for set-points, directions, steps and the
+    watchdog. A user must not write them."""
     names = {profile.watchdog.register} if profile.watchdog else set()
     for channel in profile.channels.values():
         names |= channel.commands
@@ -36,8 +37,8 @@ def kept_back(profile: DriveProfile) -> frozenset[str]:
 
 
 def raw_to_write(profile: DriveProfile, name: str, value: float) -> int:
-    """The raw value for a value in SI. LookupError: no such register; ValueError: it must not be
-    written, or not with this value."""
+    """Convert a value in SI to the raw value to write. LookupError: the register does not exist or
+    cannot be read; ValueError: it must not be written, or not with this value."""
     register = readable(profile, name)
     if "w" not in register.access:
         raise ValueError(f"{profile.name}: {name} can only be read")
@@ -51,6 +52,6 @@ def raw_to_write(profile: DriveProfile, name: str, value: float) -> int:
 
 
 def write_steps(profile: DriveProfile, name: str, value: float) -> tuple[Step, Step]:
-    """Write a value in SI, and read it back. Raises as `raw_to_write`."""
+    """Return the steps that write a value in SI and read it back. Errors as in `raw_to_write`."""
     write = Step(register=name, value=raw_to_write(profile, name, value))
     return write, read_back(write)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive's profile means for its joints, on any wire. Pure."""
+"""Conversion between raw values of a drive and SI values of its joints by the drive's profile, on
+any medium. Pure."""
 
 from __future__ import annotations
 
@@ -12,12 +13,12 @@ from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.realtime.exchange import JointSetpoint
 
 Wanted = Mapping[int, JointSetpoint]
-"""By joint index; empty: everything zero."""
+"""Joint index → requested set-point; a joint that is missing gets zero."""
 REST = JointSetpoint(0.0, 0.0)
 
 
 def of_kind(channel: Channel, setpoint: JointSetpoint) -> float:
-    """The part of a set-point that the channel takes, at the wheel."""
+    """Return the part of a set-point that the channel takes, at the wheel."""
     if channel.torque_setpoint is not None:
         return setpoint.torque_n_m
     if channel.position_setpoint is not None:
@@ -27,7 +28,8 @@ def of_kind(channel: Channel, setpoint: JointSetpoint) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a drive reports of one joint, at the wheel, in SI; NaN or None where it does not."""
+    """The report of a drive for one joint, at the wheel, in SI; NaN or None for a value that it
+    does not report."""
 
     count: int
     velocity_rad_s: float
@@ -39,7 +41,8 @@ class Reading:
 
 
 def present_positions(channels: Iterable[Channel]) -> Iterator[Step]:
-    """Writes that keep a drive at rest when it gets its power."""
+    """Yield the writes that set each position target to the present position, so that the drive
+    stays at rest when it gets its power."""
     for channel in channels:
         if channel.position_setpoint is not None and channel.position is not None:
             yield Step(
@@ -48,7 +51,7 @@ def present_positions(channels: Iterable[Channel]) -> Iterator[Step]:
 
 
 class Plan:
-    """One drive with one or more joints on its channels."""
+    """Converts the values of one drive, which has one or more joints on its channels."""
 
     def __init__(self, joints: Iterable[JointSpec]) -> None:
         self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
@@ -59,7 +62,8 @@ class Plan:
         return self.profile.channels[joint.channel]
 
     def enabled(self, values: Mapping[str, int]) -> bool | None:
-        """None: the drive cannot report it, or has not reported it yet."""
+        """Whether the drive reports by these raw values that it is enabled; None: it cannot report
+        it, or has not yet."""
         enabled = self.profile.enabled
         if enabled is None or enabled.register not in values:
             return None
@@ -68,7 +72,8 @@ class Plan:
     def _reading(
         self, joint: JointSpec, values: Mapping[str, int], count: int, sign: float = 1.0
     ) -> Reading:
-        """A joint by its raw values. `sign`: of a velocity that has none."""
+        """Convert the raw values of a joint. `sign` is the sign of a velocity that is sent without
+        one."""
         channel = self.channel(joint)
         sign *= -1.0 if joint.inverted else 1.0
         return Reading(
@@ -88,7 +93,7 @@ class Plan:
         return value if math.isfinite(value) else math.nan
 
     def wants_motion(self, wanted: Wanted) -> bool:
-        """Whether a joint is to move. Any angle is a target, also 0."""
+        """Whether a joint of this drive has to move. Any angle is a target, also 0."""
         for joint in self.joints:
             channel, setpoint = self.channel(joint), wanted.get(joint.index, REST)
             if channel.position_setpoint is not None and setpoint.position_rad is not None:
@@ -99,8 +104,9 @@ class Plan:
         return False
 
     def setpoints(self, wanted: Wanted) -> dict[str, int]:
-        """Register → raw for the set-points, and for what goes with them. What is missing, NaN or
-        infinite is zero; if a register of its own has the direction, it is the magnitude."""
+        """Return register → raw value for the set-points and for the registers written with them. A
+        set-point that is missing, NaN or infinite is zero; if another register holds the direction,
+        the value is the magnitude."""
         raw = {}
         for joint in self.joints:
             channel = self.channel(joint)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a line is to the other packages: plain values in, plain values out, one protocol.
+"""The interface of a line for other packages: the protocol `Line`, and plain values.
 
 A line is one shared medium (an RS485 pair, a CAN bus). The daemon builds a LineSpec from the robot
 file, `open_line` (motord_hal.fieldbus.open_line) turns it into a Line, and `Line.run()` does the
@@ -17,7 +17,7 @@ from motord_hal.drives.profile import DriveProfile, Gap
 from motord_hal.fieldbus.trace import Trace
 
 SETPOINT_TIMEOUT_S = 0.1
-"""Set-points older than this do not count: the line stops and disarms its drives."""
+"""Age at which set-points are too old: the line then stops and disarms its drives."""
 REST_VELOCITY_RAD_S = 0.05
 """A wheel slower than this is at rest, unless the robot file sets another limit."""
 
@@ -28,12 +28,12 @@ class EdgesEncoder:
 
     gpio_chip: str
     a: str
-    """The line's name, or its number on the chip."""
+    """Name of the GPIO line of signal A, or its number on the chip; `b` likewise for signal B."""
     b: str
     pull: str
-    """"none", "up" or "down"."""
+    """Pull resistor of both lines: "none", "up" or "down"."""
     rad_per_count: float
-    """Of the wheel, positive where it turns forward; a count is an edge."""
+    """Angle of the wheel for one count (one edge); positive if turning forward counts up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,11 +41,11 @@ class CounterEncoder:
     """A quadrature encoder on a counter of the kernel."""
 
     counter: str
-    """Its name, part of its device's path, or counterN."""
+    """The counter's name, a part of its device's path, or counterN."""
     count: int
-    """Which count of it."""
+    """Number of the count on this counter (the N of the kernel's `countN`)."""
     rad_per_count: float
-    """As in EdgesEncoder."""
+    """See `EdgesEncoder.rad_per_count`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,14 +56,14 @@ class BoardEncoder:
     """Device file, or usb:SERIAL."""
     baudrate: int
     motor: int
-    """Which one of the board, from 1 on."""
+    """Number of the motor on the board, from 1 on."""
     rad_per_count: float
-    """As in EdgesEncoder."""
+    """See `EdgesEncoder.rad_per_count`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointSpec:
-    """One wheel as its line sees it. `index` is the joint's place in the core's arrays."""
+    """The data of one joint for its line. `index` is the joint's place in the core's arrays."""
 
     index: int
     name: str
@@ -71,22 +71,22 @@ class JointSpec:
     unit: int
     channel: int = 1
     cycle_hz: float | None = None
-    """Wanted rate of this joint's drive; None: the line's."""
+    """Requested cyclic rate of this joint's drive; None: the rate of the line."""
     gear_ratio: float = 1.0
     """Motor turns per wheel turn, > 0."""
     inverted: bool = False
     """True if the motor turns backward when the robot drives forward."""
     counts_per_turn: int = 0
-    """Of the motor, of a joint that takes positions; 0: those of its profile."""
+    """Counts for one turn of the motor, if the joint takes positions; 0: as in the profile."""
     zero_count: int = 0
-    """The counter where the angle of such a joint is 0."""
+    """Value of the position counter at the angle 0 of a joint that takes positions."""
     position_velocity_rad_s: float = 0.0
-    """Its target moves no faster, > 0; of other joints 0."""
+    """Highest speed of the target of a joint that takes positions, > 0; 0 for other joints."""
     pins: Mapping[str, str] = field(default_factory=dict)
-    """Pin of the bridge → where it is: "pwmN", or a GPIO line's name or number; with "!" before it
-    it is active low. "fault" is an input."""
+    """Pin of the bridge → its place: "pwmN", or the name or number of a GPIO line; a "!" before it
+    means active low. "fault" is an input."""
     encoder: EdgesEncoder | CounterEncoder | BoardEncoder | None = None
-    """Of a bridge's motor."""
+    """Encoder of a motor on a bridge."""
     tries: int = 3
     reply_timeout_s: float | None = None
     """Deadline for a reply after the request's last byte; None: frame time plus the profile's
@@ -94,20 +94,20 @@ class JointSpec:
 
 
 class DirectionKind(enum.StrEnum):
-    """What switches an RS485 transceiver from receiving to sending and back."""
+    """The part that switches an RS485 transceiver from receiving to sending and back."""
 
     AUTO = "auto"
-    """The adapter itself: there is nothing to do."""
+    """The adapter switches by itself: motord does nothing."""
     KERNEL = "kernel"
-    """The UART's driver, by RTS (kernel: Documentation/driver-api/serial/serial-rs485.rst)."""
+    """The UART's driver switches by RTS (Documentation/driver-api/serial/serial-rs485.rst)."""
     GPIO = "gpio"
-    """The line's own thread, by a GPIO line."""
+    """The line's own thread switches by a GPIO line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DirectionSpec:
-    """How the transceiver is turned. The delays are between the edge and the first bit, and between
-    the last bit and the edge back."""
+    """How the direction of the transceiver is switched. `before_s` is from the edge to the first
+    bit, `after_s` from the last bit to the edge back."""
 
     kind: DirectionKind = DirectionKind.AUTO
     active_high: bool = True
@@ -115,9 +115,9 @@ class DirectionSpec:
     before_s: float = 0.0
     after_s: float = 0.0
     gpio_chip: str = ""
-    """GPIO: the chip's label or device file."""
+    """For GPIO: label or device file of the chip."""
     gpio_line: str = ""
-    """GPIO: the line's name or its number on the chip."""
+    """For GPIO: name of the line, or its number on the chip."""
 
 
 class Echo(enum.StrEnum):
@@ -126,73 +126,73 @@ class Echo(enum.StrEnum):
     NO = "no"
     YES = "yes"
     AUTO = "auto"
-    """The first read after opening decides."""
+    """The line finds out with the first read after it was opened."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PinsSpec:
-    """Where the pins of a line of motor bridges are."""
+    """The chips and the carrier of the pins of a line of motor bridges."""
 
     pwm_chip: str = ""
     """Part of the device path of the chip (its number changes from boot to boot), or pwmchipN."""
     gpio_chip: str = ""
     """The chip's label or device file."""
     pwm_hz: float | None = None
-    """Carrier; None: that of each bridge's profile."""
+    """Carrier frequency; None: the one in the profile of each bridge."""
     software_pwm: bool = False
-    """Whether a chip is allowed whose pulses the kernel makes by timer interrupts."""
+    """Whether to accept a chip whose pulses the kernel makes by timer interrupts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextWheel:
-    """Where a wheel is: for boards that take the base's speed and turn rate."""
+    """Geometry of a wheel, for boards that take the base's speed and turn rate."""
 
     side: float
-    """-1 left, 1 right."""
+    """Side of the base on which the wheel is: -1 left, 1 right."""
     radius_m: float
     counts_per_turn: int = 0
-    """Of the motor's shaft, into which a distance is converted; 0: there is no counter."""
+    """Counts for one turn of the motor's shaft, to convert distances; 0: there is no counter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextSpec:
-    """Templates of a line of text: docs/mcu/line-ascii.md."""
+    """Templates of the lines of text to and from a board (docs/mcu/line-ascii.md)."""
 
     setpoints: str
     feedback: str = ""
-    """Empty: the board sends nothing."""
+    """Template of the feedback; empty: the board sends nothing."""
     prefix: str = ""
-    """Goes out as it is before the set-points, in every cycle."""
+    """Text that is sent unchanged before the set-points, in every cycle."""
     feedback_scale: Mapping[str, float] = field(default_factory=dict)
-    """Field → its number for 1 of the field's unit, where that is not 1."""
+    """Field → the number in the text that means 1 of the field's unit, if it is not 1."""
     scale: float = 1.0
-    """The number of a joint is its set-point (motor rad/s, or duty of 1) times this."""
+    """Factor from a joint's set-point (motor rad/s, or duty of 1) to its number in the text."""
     wheels: Mapping[str, TextWheel]
-    """By joint name."""
+    """Joint name → wheel."""
     track_m: float
 
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """How an inertial sensor sits on the base: which of its axes (x, -x, y, -y, z or -z) points up,
-    and which forward."""
+    """How an inertial sensor is mounted on the base: the axis of the sensor (x, -x, y, -y, z or -z)
+    that points up, and the one that points forward."""
 
     up: str = "z"
     forward: str = "x"
 
     def to_base(self, vector: Sequence[float]) -> tuple[float, ...]:
-        """From the sensor's axes to the base's: x forward, y left (up × forward), z up."""
+        """Convert from the sensor's axes to the base's: x forward, y left (up × forward), z up."""
         return tuple(sign * vector[axis] for axis, sign in self._rows())
 
     def from_base(self, vector: Sequence[float]) -> tuple[float, ...]:
-        """The inverse: what a sensor in this position reports."""
+        """Convert from the base's axes to what a sensor in this mounting reports."""
         sensed = [0.0, 0.0, 0.0]
         for (axis, sign), value in zip(self._rows(), vector, strict=True):
             sensed[axis] = sign * value
         return tuple(sensed)
 
     def _rows(self) -> tuple[tuple[int, float], ...]:
-        """Of each of the base's axes: the sensor's that lies along it, and its sign."""
+        """Return for each axis of the base the axis of the sensor along it, and its sign."""
         (f, forward_sign), (u, up_sign) = _axis(self.forward), _axis(self.up)
         even = (f - u) % 3 == 1
         left_sign = forward_sign * up_sign * (1.0 if even else -1.0)
@@ -210,50 +210,51 @@ class LineSpec:
     index: int
     name: str
     kind: str
-    """"modbus-rtu" and "ddsm" on a serial port; "modbus-tcp" and "rtu-over-tcp" through a
-    gateway; "can"; "mcu", "ascii", "hoverboard" and "sabertooth" for a board alone on a port."""
+    """"modbus-rtu", "ddsm", "roboclaw", "feetech", "dynamixel" on a serial port; "modbus-tcp" and
+    "rtu-over-tcp" through a gateway; "can"; "pwm"; "mcu", "ascii", "hoverboard" and "sabertooth"
+    for a board alone on a port."""
     port: str
-    """A device file, "usb:SERIAL" for the adapter with that serial number, HOST:PORT, or of a CAN
-    bus INTERFACE:CHANNEL."""
+    """A device file, "usb:SERIAL" for the adapter with that serial number, HOST:PORT, or
+    INTERFACE:CHANNEL for a CAN bus."""
     baudrate: int
-    """Bits a second, of a CAN bus too."""
+    """Bits a second, for a CAN bus too."""
     parity: str
-    """"none" | "even" | "odd"."""
+    """"none", "even" or "odd"."""
     stop_bits: int
     cycle_hz: float
-    """Requested cyclic rate; the line goes as fast as the wire allows, never faster than this."""
+    """Requested cyclic rate. The line runs slower if the wire cannot carry it, never faster."""
     gap_s: float | None
-    """Silent interval between frames; None: by `gap`."""
+    """Silent interval between frames; None: as `gap` demands."""
     engine: str
-    """"asyncio" | "rt" | "auto": rt where the line has a serial port or SocketCAN, else asyncio."""
+    """"asyncio", "rt" or "auto": rt if the line has a serial port or SocketCAN, else asyncio."""
     data_baudrate: int | None = None
-    """Of the data of CAN FD frames; None: a CAN bus of classic frames."""
+    """Bits a second in the data of CAN FD frames; None: the CAN bus has classic frames only."""
     gap: Gap | None = None
-    """Rule for the silent interval; None: the longest that a drive of the line needs."""
+    """Rule for the silent interval; None: the longest interval that a drive of the line needs."""
     direction: DirectionSpec = DirectionSpec()
     echo: Echo = Echo.AUTO
     priority: int = 70
     """SCHED_FIFO priority of the line's thread (rt engine); 0: ordinary scheduling."""
     cpu: tuple[int, ...] = ()
-    """CPUs of the line's thread (rt engine); none: all."""
+    """CPUs of the line's thread (rt engine); empty: all."""
     joints: tuple[JointSpec, ...]
     text: TextSpec | None = None
-    """Of the kind "ascii"."""
+    """Templates of the text of a line of kind "ascii"."""
     imu: Mounting | None = None
-    """Of the sensor that the board reads for the core; None: there is no sensor."""
+    """Mounting of the sensor that the board reads for the core; None: there is no sensor."""
     fast_sync_read: bool = False
-    """Of the kind "dynamixel": all servos answer in one packet while none of them fails."""
+    """For the kind "dynamixel": all servos answer in one packet while none of them fails."""
     pins: PinsSpec = PinsSpec()
-    """Of the kind "pwm"."""
+    """Pins of a line of kind "pwm"."""
     watchdog_s: float
-    """Wanted communication watchdog of the drives, written and read back where the profile has
-    one."""
+    """Requested time of the drives' communication watchdog. It is written and read back if the
+    profile has a watchdog."""
     setpoint_timeout_s: float = SETPOINT_TIMEOUT_S
     """The line stops its drives when the newest set-points are older than this."""
     rest_velocity_rad_s: float = REST_VELOCITY_RAD_S
-    """A wheel slower than this is at rest: the power goes off at the end of a quick stop."""
+    """A wheel slower than this is at rest; a quick stop then ends, and the power goes off."""
     left_running: bool = False
-    """Another program left the drives running: each begins with a quick stop."""
+    """True if another program left the drives running: each then begins with a quick stop."""
 
 
 class LineState(enum.StrEnum):
@@ -263,8 +264,8 @@ class LineState(enum.StrEnum):
 
 
 class DriveState(enum.StrEnum):
-    """A drive on a line. UNRESPONSIVE drives are probed with back-off and come back as READY, never
-    as ARMED."""
+    """State of a drive on a line. An UNRESPONSIVE drive is polled with back-off; it comes back as
+    READY, never as ARMED."""
 
     UNKNOWN = "unknown"
     READY = "ready"
@@ -287,7 +288,8 @@ class EventKind(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LineEvent:
-    """Reported once, when something changes, not at each try. `text` is a sentence for the log."""
+    """An event of a line, reported once, when something changes, not at each try. `text` is a
+    sentence for the log."""
 
     kind: EventKind
     line: str
@@ -297,7 +299,7 @@ class LineEvent:
 
 @dataclass(slots=True)
 class RoundTrips:
-    """Round-trip times in microseconds: a bounded reservoir, newest kept."""
+    """Percentiles and maximum of the round-trip times, in microseconds."""
 
     p50_us: float = 0.0
     p99_us: float = 0.0
@@ -306,7 +308,7 @@ class RoundTrips:
 
 @dataclass(slots=True)
 class LineStats:
-    """Counters since start. `errors` is by kind: no_reply, bad_reply, refused, port."""
+    """Line counters since the start. Keys of `errors`: no_reply, bad_reply, refused, port."""
 
     exchanges: int = 0
     cycles: int = 0
@@ -322,13 +324,13 @@ Listener = Callable[[LineEvent], None]
 
 
 class Line(Protocol):
-    """A medium with one runner. All requests go through the cycle of `run()`: one at a time."""
+    """A line, run by one task. All requests go through the cycle of `run()`, one at a time."""
 
     spec: LineSpec
 
     @property
     def engine(self) -> str:
-        """ "asyncio" or "rt": the engine that `spec.engine` chose."""
+        """The engine in use, "asyncio" or "rt", as `spec.engine` selects it."""
         ...
 
     @property
@@ -336,35 +338,35 @@ class Line(Protocol):
 
     @property
     def drive_states(self) -> dict[str, DriveState]:
-        """By joint name."""
+        """Joint name → state of its drive."""
         ...
 
     @property
     def drive_faults(self) -> dict[str, tuple[str, ...]]:
-        """By joint name: the words for the fault bits that are set."""
+        """Joint name → texts of the faults that the drive reports."""
         ...
 
     @property
     def trace(self) -> Trace | None:
-        """None: nothing is exchanged (pins)."""
+        """The line's trace; None for a line of pins, which exchanges no bytes."""
         ...
 
     def stats(self) -> LineStats: ...
 
     async def run(self) -> None:
-        """Open, configure, exchange; reopen with back-off, disarmed; for ever. Does not raise for
-        faults of drives or ports. On cancellation: stop and disarm every drive within a short
-        deadline, close, re-raise."""
+        """Open the medium, configure the drives and exchange data until cancelled. When the medium
+        is lost, reopen it with back-off, disarmed; faults of drives or ports raise nothing. On
+        cancellation stop and disarm every drive within a short deadline, close, re-raise."""
         ...
 
     async def arm(self) -> None:
-        """Enable all drives at zero speed and check that they report it; on any failure all are
-        disarmed again and the first HalError is raised. Deadline inside."""
+        """Enable all drives at zero speed and check that they report it, with a deadline. On any
+        failure disarm all of them again and raise the first HalError."""
         ...
 
     async def disarm(self) -> None:
-        """Zero speed, power off, on every drive that answers; raises the first HalError after
-        trying all."""
+        """Send zero speed and power-off to every drive that answers. Raise the first HalError after
+        all were tried."""
         ...
 
     async def clear_faults(self) -> None:
@@ -372,12 +374,13 @@ class Line(Protocol):
         ...
 
     async def read_register(self, joint: str, register: str) -> float:
-        """A register of the joint's drive by its profile's name, in SI, read now in acyclic slots.
-        LookupError: no such joint or register; HalError: not read."""
+        """Read a register of the joint's drive outside the cycle; return its value in SI.
+        `register` is its name in the profile. LookupError: no such joint or register; HalError: not
+        read."""
         ...
 
     async def write_register(self, joint: str, register: str, value: float) -> float:
-        """Write it (SI), read it back and return what is in force. ValueError: out of the
-        register's range, or the register is one that the cycle or the steps of the profile write;
-        LookupError and HalError as `read_register`."""
+        """Write a value in SI to a register, read it back and return the value in force.
+        ValueError: the value is out of range, or the cycle or the steps of the profile write this
+        register; LookupError and HalError as in `read_register`."""
         ...

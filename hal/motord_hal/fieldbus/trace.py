@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes over a line, for `motord trace`: the newest entries, each with its number, so that a
-reader sees what it has missed."""
+"""The newest bytes that a line sent and received, for `motord trace`. Each entry has a number, so
+that a reader sees what it has missed."""
 
 from __future__ import annotations
 
@@ -14,33 +14,34 @@ ENTRIES_MAX = 256
 
 @dataclass(frozen=True, slots=True)
 class TraceEntry:
-    """Bytes in one direction. On CAN a whole struct can_frame or canfd_frame (linux/can.h)."""
+    """Bytes that went in one direction. On CAN, `data` is a whole struct can_frame or canfd_frame
+    (linux/can.h)."""
 
     number: int
     stamp_ns: int
-    """CLOCK_MONOTONIC."""
+    """Time at which the bytes were sent or received, CLOCK_MONOTONIC."""
     outward: bool
-    """To the drives."""
+    """True: sent to the drives; False: received from them."""
     data: bytes
 
 
 class Trace(Protocol):
-    """Of one line. Several may read; while it is off it keeps nothing."""
+    """The trace of one line. Several programs may read it; while it is off it keeps nothing."""
 
     def switch(self, *, on: bool) -> None: ...
 
     @property
     def newest(self) -> int:
-        """The newest entry's number; the first is 1."""
+        """Number of the newest entry; the first entry is 1, and 0 means that there was no entry."""
         ...
 
     def after(self, number: int) -> Iterator[TraceEntry]:
-        """Entries with greater numbers that were not overwritten, the oldest first."""
+        """Yield the entries with greater numbers that were not overwritten, the oldest first."""
         ...
 
 
 class PythonTrace:
-    """A Trace that asyncio itself writes."""
+    """A Trace of a line in asyncio, which writes it."""
 
     def __init__(self) -> None:
         self.on = False
@@ -51,7 +52,7 @@ class PythonTrace:
         self.on = on
 
     def put(self, stamp_ns: int, data: bytes, *, outward: bool) -> None:
-        """Only while it is on; check that first, it is cheaper."""
+        """Add an entry if the trace is on. To save time, check `on` before the call."""
         if self.on:
             self.newest += 1
             self._entries.append(TraceEntry(self.newest, stamp_ns, outward, data))

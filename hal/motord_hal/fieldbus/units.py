@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which joints share a drive."""
+"""Groups the joints of a line by the drive that they share."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from motord_hal.fieldbus.ports import JointSpec, LineSpec
 
 
 def joints_by_unit(spec: LineSpec) -> Iterable[list[JointSpec]]:
-    """Joints by unit. Raises ProfileError if two joints cannot share a unit."""
+    """Group the joints of a line by unit. Raise ProfileError if joints cannot share their unit, or
+    their drive has no such channel."""
     units: dict[int, list[JointSpec]] = {}
     for joint in spec.joints:
         others = units.setdefault(joint.unit, [])

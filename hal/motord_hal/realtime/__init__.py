@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The C extension: exchange and the threads of lines. Nothing else in the hardware layer imports
-it."""
+"""Access to the C extension: the exchange and the threads of lines. No other package of the
+hardware layer imports the extension."""

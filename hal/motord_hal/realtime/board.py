@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface to the threads that drive boards on a stream: one a board, its table, its orders,
-its report.
+"""The interface to the threads in C that drive boards on a serial port: one thread for each board,
+its table, its orders, its report.
 
-The meaning of each field is in api_board.h; tables and orders are plain values named as there.
+The meaning of each field is in api_board.h; tables and orders are plain values with these names.
 """
 
 from __future__ import annotations
@@ -29,29 +29,30 @@ from motord_hal.realtime.thread import (
 
 
 class BoardClock:
-    """A board's clock on ours, csrc/fieldbus/board/board_clock.c: time in a buffer counts as
-    age."""
+    """Converts a board's clock to CLOCK_MONOTONIC (csrc/fieldbus/board/board_clock.c), so that the
+    age of a frame includes its time in buffers."""
 
     def __init__(self) -> None:
         self._clock = ffi.new("board_clock *")
 
     def stamp_ns(self, time_us: int, came_ns: int) -> int:
-        """When a frame with the board's time `time_us` (32 bits) was made; never after it came. Not
-        later than the stamp before: the frame adds nothing, and the next one has the same
-        content."""
+        """Return the time at which the board made a frame, never later than `came_ns`. `time_us` is
+        the board's time in the frame (32 bits). If the result is not later than the stamp before,
+        ignore the frame: the next one has the same content."""
         return int(lib.board_clock_stamp(self._clock, time_us, came_ns))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardDriveReport(OrderedDriveReport):
-    """The thread's report of the board; `cycles`: feedback that the core got."""
+    """The thread's report of the board. `cycles` counts the feedback passed to the core."""
 
     knows: bool
-    """Its newest feedback was made after it had received all writes."""
+    """Whether the board made its newest feedback after it had received all writes."""
     received_ns: int
-    """0: never."""
+    """Time of the newest feedback; 0: none was ever received."""
     payload: bytes
-    """Of its newest feedback; empty: none has come since it was unresponsive, or ever."""
+    """Payload of the newest feedback; empty: none came since the board was unresponsive, or
+    ever."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,13 +68,13 @@ class BoardReport(AnyLineReport):
 
 
 def check_table(name: str, table: Plain) -> None:
-    """As check_plain."""
+    """Check a table as `check_plain` does."""
     check_plain(name, lib.board_table_check, "board_table *", table)
 
 
 class BoardThread(LineThreadHandle):
-    """One board's thread in C, from `start` to `stop`. One caller's thread at a time. Its drive has
-    the number 0."""
+    """One board's thread in C, from `start` to `stop`. Use it from one thread at a time. The board
+    is drive 0."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
         super().__init__(line, ffi.new("board_control *"), lib.board_put_control, lib.board_stop)
@@ -82,8 +83,8 @@ class BoardThread(LineThreadHandle):
         self._report = ffi.new("board_report *")
 
     def start(self, table: Plain, **config: int) -> None:
-        """`config` as in board_config; the descriptors stay the caller's, to be closed after
-        `stop`. Raises HalError."""
+        """Start the thread. `config` has the fields of board_config; the caller closes the file
+        descriptors in it after `stop`. Raise HalError if the thread does not start."""
         raw = ffi.new("board_table *", table)
         raw_config = ffi.new("board_config *", config_of(config, self._exchange))
         ffi.memmove(self._control, bytes(ffi.sizeof("board_control")), ffi.sizeof("board_control"))
@@ -95,7 +96,7 @@ class BoardThread(LineThreadHandle):
         return self._control.request
 
     def put_order(self, order: Plain) -> bool:
-        """False: the queue is full. Raises HalError where the thread has ended."""
+        """Queue an order; False: the queue is full. Raise HalError if the thread has ended."""
         code = lib.board_put_order(self._line, ffi.new("board_order *", order))
         if not is_taken(code, "the line takes no write"):
             return False
@@ -104,11 +105,11 @@ class BoardThread(LineThreadHandle):
 
     @property
     def ordered(self) -> int:
-        """Orders since the start; the report has their results."""
+        """Number of orders since the start; the report has their results."""
         return self._ordered
 
     def report(self) -> BoardReport:
-        """As the line has it now."""
+        """Read the present report of the line."""
         raw = self._report
         lib.board_read_report(self._line, raw)
         drive = value_of(
@@ -121,5 +122,5 @@ class BoardThread(LineThreadHandle):
         return report_of(BoardReport, raw, (drive,))
 
     def round_trips(self) -> RoundTrips:
-        """From set-points to the feedback that acknowledged them, since the start."""
+        """Return the times from set-points to the acknowledging feedback, since the start."""
         return round_trips_of(lib.board_histogram_read, self._line)

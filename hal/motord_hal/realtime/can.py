@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface to the threads that drive CAN buses: one a line, its table, its orders, its report.
+"""The interface to the CAN lines in C: one thread for each line, its table, orders and report.
 
-The meaning of each field is in api_can.h; tables, frames and orders are plain values named as
-there.
+The meaning of each field is in api_can.h; tables, frames and orders are plain values with these
+names.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from motord_hal.realtime.thread import (
 
 DRIVES_MAX: int = lib.CAN_DRIVES_MAX
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
-"""Bits of an identifier: linux/can.h."""
+"""Flag bits in the identifier of a frame (linux/can.h)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +36,7 @@ class CanDriveReport(OrderedDriveReport):
     last_fault: int
     last_fault_joint: int
     may_turn: bool
-    """Armed since it was last set up, also before this start."""
+    """Whether the drive was armed since it was last set up, also before this start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,19 +56,19 @@ class Received:
     """A frame of a drive, or an error frame of the controller."""
 
     drive: int
-    """DRIVES_MAX: an error frame."""
+    """Number of the drive in the table; DRIVES_MAX: an error frame."""
     identifier: int
-    """With its bits."""
+    """Identifier with its flag bits (EXTENDED, REMOTE, ERROR)."""
     data: bytes
 
 
 def check_table(name: str, table: Plain) -> None:
-    """As check_plain."""
+    """Check a table as `check_plain` does."""
     check_plain(name, lib.can_table_check, "can_table *", table)
 
 
 class CanThread(LineThreadHandle):
-    """One CAN line's thread in C, from `start` to `stop`. One caller's thread at a time."""
+    """One CAN line's thread in C, from `start` to `stop`. Use it from one thread at a time."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
         super().__init__(line, ffi.new("can_control *"), lib.can_put_control, lib.can_stop)
@@ -79,8 +79,9 @@ class CanThread(LineThreadHandle):
         self._report = ffi.new("can_report *")
 
     def start(self, table: Plain, *, before: Plain, **config: int) -> None:
-        """`before` as in can_before, `config` as in can_config; the descriptors stay the caller's:
-        to be closed after `stop`. Raises HalError."""
+        """Start the thread. `before` has the fields of can_before, `config` those of can_config;
+        the caller closes the file descriptors in it after `stop`. Raise HalError if the thread does
+        not start."""
         raw = ffi.new("can_table *", table)
         own = config_of(config, self._exchange) | {"before": before}
         raw_config = ffi.new("can_config *", own)
@@ -96,7 +97,7 @@ class CanThread(LineThreadHandle):
         self._put_control()
 
     def put_order(self, order: Plain) -> bool:
-        """False: the queue is full. Raises HalError where the thread has ended."""
+        """Queue an order; False: the queue is full. Raise HalError if the thread has ended."""
         code = lib.can_put_order(self._line, ffi.new("can_order *", order))
         if not is_taken(code, "the line takes no frame"):
             return False
@@ -104,11 +105,11 @@ class CanThread(LineThreadHandle):
         return True
 
     def ordered(self, drive: int) -> int:
-        """Orders for a drive since the start; the report has their results."""
+        """Return the number of orders for a drive since the start; the report has their results."""
         return self._ordered[drive]
 
     def take(self) -> Received | None:
-        """The next frame that is for Python."""
+        """Return the next frame that the thread passes to Python; None: there is none now."""
         raw = self._received
         if lib.can_take_received(self._line, raw) != 1:
             return None
@@ -116,7 +117,7 @@ class CanThread(LineThreadHandle):
         return Received(raw.drive, packet.id, bytes(ffi.buffer(packet.data, packet.bytes)))
 
     def report(self) -> CanReport:
-        """As the line has it now."""
+        """Read the present report of the line."""
         raw = self._report
         lib.can_read_report(self._line, raw)
         drives = tuple(value_of(CanDriveReport, raw.drive[n]) for n in range(self._drives))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lines' interface to the C core: the clock, and the mailboxes between lines and loop.
 
-In each mailbox the newest value wins; a put never waits, and a take returns the newest value, new
-or not. The meaning of each field is in csrc/api/api.h.
+A mailbox keeps only the newest value. A put never waits; a take returns the newest value, also if
+it was taken before. The meaning of each field is in csrc/api/api.h.
 """
 
 from __future__ import annotations
@@ -24,43 +24,43 @@ LINES_MAX: int = lib.LINES_MAX
 _U32 = 0xFFFF_FFFF
 _U64 = 0xFFFF_FFFF_FFFF_FFFF
 _UNKNOWN = 2
-"""Value of a report that a drive does not make: csrc/api/api.h."""
+"""Value of a yes-or-no field that the drive does not report: csrc/api/api.h."""
 _ALIGNMENT_BYTES = 64
 _WAKE_FDS: dict[tuple[int, int], int] = {}
-"""By exchange and line. They are never closed: the loop may write to one at any time."""
+"""(Exchange, line) → eventfd. They are never closed: the loop may write to one at any time."""
 Value = TypeVar("Value")
 _types_of = functools.cache(get_type_hints)
 
 
 def value_of(kind: Callable[..., Value], raw: Any, **own: Any) -> Value:
-    """A struct of C as a plain value whose fields have the same names; `own`: fields with other
-    names."""
+    """Convert a struct of C to a plain value of class `kind`, whose fields have the same names.
+    `own` holds the values of the other fields."""
     made = {n: of(getattr(raw, n)) for n, of in _types_of(kind).items() if n not in own}
     return kind(**made, **own)
 
 
 def first_bad(check: Callable[[Any, Any], Any], value: Any) -> str:
-    """The name of the first bad field, by a check in C; empty: all are good."""
+    """Run a check in C; return the name of the first bad field, or "" if all are good."""
     name = ffi.new("char[]", lib.FIELD_NAME_BYTES)
     found = check(value, name)
     return "" if found == ffi.NULL else str(ffi.string(found).decode("ascii"))
 
 
 def now_ns() -> int:
-    """CLOCK_MONOTONIC in nanoseconds: the clock of every stamp in motord."""
+    """Return CLOCK_MONOTONIC in nanoseconds, the clock of every stamp in motord."""
     return int(lib.clock_now_ns())
 
 
 def is_fresh(stamp_ns: int, timeout_s: float) -> bool:
-    """Not older than the timeout, not from the future, not from before a suspend of the computer:
-    the rule of the lines in C and of the core."""
+    """Whether a stamp is not older than the timeout, not from the future and not from before a
+    suspend of the computer. Lines in C and the core use the same rule."""
     return bool(lib.clock_stamp_is_fresh(stamp_ns, round(timeout_s * 1e9)))
 
 
 @dataclass(frozen=True, slots=True)
 class JointSetpoint:
     """The set-point of one joint: its speed, the same as a duty in -1..1, and as a torque if its
-    drive takes one. `position_rad` None: no angle, it stays where it is."""
+    drive takes torques. `position_rad` None: there is no target angle, the joint does not move."""
 
     velocity_rad_s: float
     duty: float
@@ -70,10 +70,10 @@ class JointSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class Setpoints:
-    """The set-points of all joints; `joints` by the joint's index in the core.
+    """The set-points of all joints; the index in `joints` is the joint's index in the core.
 
-    Never written: stamp 0, not enabled, no joints. The caller has to check `stamp_ns`: a loop that
-    died leaves its last set-points behind.
+    If none were ever written: stamp 0, not enabled, no joints. The caller has to check `stamp_ns`:
+    a loop that died leaves its last set-points behind.
     """
 
     stamp_ns: int
@@ -84,8 +84,8 @@ class Setpoints:
 
 @dataclass(frozen=True, slots=True)
 class Feedback:
-    """A drive's newest feedback. NaN: it does not report that. `enabled`, and `referenced` (its
-    counter has a reference), None: it cannot report it."""
+    """The newest feedback of a joint. NaN: the drive does not report this value. `referenced`: the
+    position counter has a reference. `enabled` or `referenced` None: the drive cannot report it."""
 
     stamp_ns: int
     count: int
@@ -101,7 +101,7 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:
-    """The inertial sensor's newest sample, about the base's axes. Stamp 0: never."""
+    """The newest sample of the inertial sensor, in the base's axes. Stamp 0: there was none."""
 
     stamp_ns: int
     angular_rad_s: tuple[float, ...]
@@ -111,13 +111,13 @@ class ImuSample:
 
 
 class Exchange:
-    """The mailboxes, from one thread: the buffers that values pass through belong to the object.
+    """Access to the mailboxes from one thread (the object has one buffer for each kind of value).
 
     A mailbox has one writer and one reader. Bad indices raise IndexError.
     """
 
     def __init__(self, handle: object, memory: object = None) -> None:
-        """Use `of_loop` or `private`. `memory` is kept alive with the object."""
+        """Call `of_loop` or `private` instead. `memory` is kept alive as long as the object."""
         self._exchange = handle
         self._memory = memory
         self._setpoints = ffi.new("setpoints *")
@@ -126,12 +126,12 @@ class Exchange:
 
     @classmethod
     def of_loop(cls) -> Exchange:
-        """The exchange that the loop of this process reads and writes."""
+        """Return the exchange that the loop of this process reads and writes."""
         return cls(lib.loop_exchange())
 
     @classmethod
     def private(cls) -> Exchange:
-        """A separate, empty exchange, for tests and tools."""
+        """Make a separate, empty exchange, for tests and tools."""
         memory = ffi.new("uint8_t[]", lib.exchange_bytes() + _ALIGNMENT_BYTES)
         address = int(ffi.cast("uintptr_t", memory))
         aligned = -(-address // _ALIGNMENT_BYTES) * _ALIGNMENT_BYTES
@@ -141,11 +141,11 @@ class Exchange:
 
     @property
     def handle(self) -> object:
-        """For C only: the mailboxes themselves, alive as long as this object."""
+        """The C pointer to the mailboxes, valid as long as this object exists."""
         return self._exchange
 
     def take_setpoints(self, line: int) -> Setpoints:
-        """The line's side: the newest set-points of all joints."""
+        """Return the newest set-points of all joints. Lines call it."""
         raw = self._setpoints
         _check(lib.exchange_take_setpoints(self._exchange, line, raw), "line", line)
         joints = range(min(raw.joint_count, JOINTS_MAX))
@@ -165,14 +165,14 @@ class Exchange:
         )
 
     def enabled_count(self, line: int) -> int:
-        """How often a line's set-points have become enabled: a line may never read those of a short
-        time. Read it before the take."""
+        """Return how often a line's set-points have become enabled. It shows a line also a change
+        too short to be seen in a take. Read it before the take."""
         return int(lib.exchange_enabled_count(self._exchange, line))
 
     @contextlib.contextmanager
     def waking(self, line: int, call: Callable[[], object]) -> Iterator[None]:
-        """For a line in asyncio. Until the end of the block, the event loop makes this call when
-        the line has a new command or a stop to send. Raises OSError without a descriptor left."""
+        """Make the event loop call `call` when a line in asyncio has a new command or a stop to
+        send, until the end of the block. Raise OSError if there is no free file descriptor."""
         place = int(ffi.cast("uintptr_t", self._exchange)), line
         if (fd := _WAKE_FDS.get(place)) is None:
             fd = _WAKE_FDS[place] = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -192,12 +192,13 @@ class Exchange:
             events.remove_reader(fd)
 
     def wake_line(self, line: int) -> None:
-        """The loop's side, for tests."""
+        """Wake a line as the loop does, for tests."""
         if (fd := lib.exchange_line_wake(self._exchange, line)) >= 0:
             os.eventfd_write(fd, 1)
 
     def put_setpoints(self, line: int, value: Setpoints) -> None:
-        """The loop's side, for tests and tools. At most JOINTS_MAX joints, else ValueError."""
+        """Write set-points as the loop does, for tests and tools. Raise ValueError for more than
+        JOINTS_MAX joints."""
         if len(value.joints) > JOINTS_MAX:
             raise ValueError(f"{len(value.joints)} joints, at most {JOINTS_MAX}")
         raw = self._setpoints
@@ -230,7 +231,8 @@ class Exchange:
         drive_faults: int,
         referenced: bool | None = None,
     ) -> None:
-        """The line's side. Whole numbers wrap at their width in C: a counter may be negative."""
+        """Write the feedback of a joint. Lines call it. Whole numbers wrap at their width in C: a
+        counter may be negative."""
         raw = self._feedback
         raw.stamp_ns = stamp_ns
         raw.count = count & _U64
@@ -253,7 +255,7 @@ class Exchange:
         saturated: bool,
         epoch: int,
     ) -> None:
-        """For the reader of the inertial sensor: a sample about the base's x, y, z."""
+        """Write a sample of the inertial sensor, in the base's axes x, y, z."""
         raw = self._imu
         raw.stamp_ns = stamp_ns
         raw.angular_rad_s = angular_rad_s
@@ -263,7 +265,7 @@ class Exchange:
         lib.exchange_put_imu(self._exchange, raw)
 
     def take_imu(self) -> ImuSample:
-        """The loop's side, for tests and tools."""
+        """Read the newest sample of the inertial sensor, for tests and tools."""
         raw = self._imu
         lib.exchange_take_imu(self._exchange, raw)
         return ImuSample(
@@ -275,7 +277,7 @@ class Exchange:
         )
 
     def take_feedback(self, joint: int) -> Feedback:
-        """The loop's side, for tests and tools."""
+        """Read the newest feedback of a joint as the loop does, for tests and tools."""
         raw = self._feedback
         _check(lib.exchange_take_feedback(self._exchange, joint, raw), "joint", joint)
         return Feedback(

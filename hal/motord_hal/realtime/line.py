@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interface to the lines that run in C: one thread a line, its table, its requests, its report.
+"""The interface to the serial lines in C: one thread for each line, its table, requests and report.
 
-The meaning of each field is in api_line.h. A running line needs no Python; this module serves
-users, faults and parameters.
+The meaning of each field is in api_line.h. A running line needs no Python; this module is for
+commands of users, faults and parameters.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class AnswerKind(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThreadSpec:
-    """The thread's port and place. The file descriptors stay the caller's, to be closed after
-    `LineThread.stop`."""
+    """The port and the scheduling of a line's thread. The caller keeps the file descriptors, and
+    closes them after `LineThread.stop`."""
 
     fd: int
     event_fd: int
@@ -57,15 +57,15 @@ class ThreadSpec:
     de_before_ns: int = 0
     de_after_ns: int = 0
     may_turn: int = 0
-    """Bit n: drive n was armed before the port was opened; it gets a stop first."""
+    """Bit n is 1 if drive n was armed before the port was opened; it then gets a stop first."""
     left_running: bool = False
-    """As of LineSpec."""
+    """See `LineSpec.left_running`."""
 
     @classmethod
     def of(
         cls, spec: LineSpec, *, fd: int, de_fd: int, event_fd: int, may_turn: int = 0
     ) -> ThreadSpec:
-        """From the robot file."""
+        """Make the ThreadSpec of a LineSpec, which comes from the robot file."""
         return cls(
             fd=fd,
             event_fd=event_fd,
@@ -104,10 +104,10 @@ class Answer:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveReport(AnyDriveReport):
     enabled: bool | None
-    """None: it cannot report it, or has not reported it since the last request."""
+    """None: the drive cannot report it, or has not reported it since the last request."""
     sent_motion: bool
     may_turn: bool
-    """Armed since it was last set up, also before this start."""
+    """Whether the drive was armed since it was last set up, also before this start."""
     failures: int
     last_failure: AnswerKind
     last_exception: int
@@ -116,7 +116,7 @@ class DriveReport(AnyDriveReport):
     bad_reply: int
     refused: int
     late: int
-    """Replies that came after their time."""
+    """Number of replies that came after their deadline."""
     deadline_ns: int
     cycle_ns: int
 
@@ -125,19 +125,19 @@ class DriveReport(AnyDriveReport):
 class LineReport(AnyLineReport):
     exchanges: int
     answers: int
-    """Good replies and refusals."""
+    """Number of good replies and refusals."""
     noise_bytes: int
-    """Bytes that were no frame."""
+    """Number of bytes that belong to no frame."""
     drives: tuple[DriveReport, ...]
 
 
 def check_table(name: str, table: LineTable) -> None:
-    """As check_plain."""
+    """Check a table as `check_plain` does."""
     check_plain(name, lib.line_table_check, "line_table *", _plain(table))
 
 
 class LineThread(LineThreadHandle):
-    """One line's thread in C, from `start` to `stop`. One caller's thread at a time."""
+    """One line's thread in C, from `start` to `stop`. Use it from one thread at a time."""
 
     def __init__(self, line: int, exchange: Exchange) -> None:
         super().__init__(line, ffi.new("line_control *"), lib.line_put_control, lib.line_stop)
@@ -148,7 +148,7 @@ class LineThread(LineThreadHandle):
         self._report = ffi.new("line_report *")
 
     def start(self, spec: ThreadSpec, table: LineTable) -> None:
-        """Raises HalError."""
+        """Start the thread. Raise HalError if it does not start."""
         raw = ffi.new("line_table *", _plain(table))
         config = ffi.new("line_config *", config_of(dataclasses.asdict(spec), self._exchange))
         ffi.memmove(self._control, bytes(ffi.sizeof("line_control")), ffi.sizeof("line_control"))
@@ -156,7 +156,7 @@ class LineThread(LineThreadHandle):
         self._drives = len(table.drive)
 
     def put_request(self, request: LineRequest) -> bool:
-        """False: the queue is full. Raises HalError where the thread has ended."""
+        """Queue a request; False: the queue is full. Raise HalError if the thread has ended."""
         raw = self._raw_request
         raw.id, raw.drive, raw.urgent = request.id, request.drive, request.urgent
         raw.expires_ns, raw.turnaround_ns = request.expires_ns, request.turnaround_ns
@@ -170,14 +170,14 @@ class LineThread(LineThreadHandle):
         return value_of(Answer, raw, reply=bytes(ffi.buffer(raw.reply, raw.reply_bytes)))
 
     def report(self) -> LineReport:
-        """As the line has it now."""
+        """Read the present report of the line."""
         raw = self._report
         lib.line_read_report(self._line, raw)
         drives = tuple(_drive_report(raw.drive[n]) for n in range(self._drives))
         return report_of(LineReport, raw, drives)
 
     def round_trips(self) -> RoundTrips:
-        """Since the start of the line."""
+        """Return the round-trip times since the start of the thread."""
         return round_trips_of(lib.line_histogram_read, self._line)
 
 
@@ -205,7 +205,8 @@ def _group(group: LineGroup) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """What cffi makes C structs of; tuples of structs get their count beside them."""
+    """Convert a table to the initialiser that cffi takes for the C struct. Next to each tuple of
+    structs its count is added."""
     if isinstance(value, LineFrame):
         return _frame(value)
     if isinstance(value, LineGroup):

@@ -18,7 +18,7 @@ from motord_hal.realtime.drive_state import FaultReason
 from motord_hal.realtime.exchange import Exchange, value_of
 
 MODES = ("coast", "brake", "forward", "reverse")
-"""In the order of the C side."""
+"""The modes of a bridge, in the order of the enum in C."""
 
 
 class BridgeMode(enum.IntEnum):
@@ -32,19 +32,19 @@ _NEVER = FaultReason(0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pin:
-    """One output."""
+    """One output pin."""
 
     joint: int
-    """Place in the thread's joints."""
+    """Index in `BridgeConfig.joints`."""
     fd: int
-    """Of a channel's duty_cycle; -1: a GPIO line."""
+    """File descriptor of the PWM channel's duty_cycle; -1: the pin is a GPIO line."""
     bit: int
     inverted: bool
     period_ns: int
     levels: dict[str, tuple[float, float]]
-    """Mode → (base, slope)."""
+    """Mode → (base, slope): the level is base + slope × |duty|."""
     pumps: bool = False
-    """It changes with every cycle while the motor may move; the levels are ignored."""
+    """True: the pin changes in every cycle while the motor may move, and ignores `levels`."""
 
 
 class EncoderKind(enum.IntEnum):
@@ -56,7 +56,7 @@ class EncoderKind(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EncoderConfig:
-    """csrc/api/api_encoder.h has the meanings."""
+    """Data of one encoder; csrc/api/api_encoder.h has the meaning of each field."""
 
     kind: EncoderKind
     fd: int
@@ -70,13 +70,13 @@ class EncoderConfig:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BridgeJoint:
     index: int
-    """The core's."""
+    """Number of the joint in the core."""
     brakes_at_rest: bool
     inverted: bool
     fault_mask: int
     encoder: EncoderConfig | None = None
     full_rad: float = 0.0
-    """Of a servo: the joint's angle at the longest pulse. 0: the bridge takes duties."""
+    """For a servo: the joint's angle at the longest pulse. 0: the bridge takes duties."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +84,7 @@ class BridgeConfig:
     outputs_fd: int
     inputs_fd: int
     low_inputs: int
-    """Inputs that are active when they are low."""
+    """Bits of the inputs that are active when they are low."""
     event_fd: int
     priority: int
     cpu: tuple[int, ...]
@@ -106,16 +106,16 @@ class BridgeReport:
     error: int = 0
     error_output: int = -1
     rest_error: int = 0
-    """errno that kept a pin from its level without power; 0: all pins rest."""
+    """errno of the newest failure to set a pin to its level without power; 0: all pins rest."""
     rest_output: int = -1
     active_inputs: int = 0
     cycles: int = 0
     late_cycles: int = 0
     writes: int = 0
     encoder_illegal: int = 0
-    """Pulses that were too short to be distinguished."""
+    """Number of pulses that were too short to be distinguished."""
     encoder_lost: int = 0
-    """Edges that the kernel could not keep."""
+    """Number of edges that the kernel could not keep."""
 
 
 class BridgeThread:
@@ -128,18 +128,18 @@ class BridgeThread:
         self._number = 0
 
     def start(self, config: BridgeConfig) -> None:
-        """Raises HalError."""
+        """Start the thread. Raise HalError if it does not start."""
         self._number = 0
         code = lib.pwm_line_start(self._line, _config(config, self._exchange))
         if code < 0:
             raise HalError(f"the thread of the bridges did not start: {os.strerror(-code)}")
 
     def stop(self) -> None:
-        """End the thread; the pins then rest. Does nothing if it does not run."""
+        """End the thread; the pins then rest. Do nothing if it does not run."""
         lib.pwm_line_stop(self._line)
 
     def request_mode(self, request: BridgeMode) -> int:
-        """Request a mode; returns the number that the report shows once it is in force."""
+        """Request a mode; return the number that the report shows once it is in force."""
         self._number += 1
         lib.pwm_line_put_control(
             self._line, ffi.new("bridge_control *", {"mode": int(request), "number": self._number})
@@ -147,8 +147,8 @@ class BridgeThread:
         return self._number
 
     def report_count(self, joint: int, count: int, stamp_ns: int, origin: int) -> None:
-        """What a board has counted of the joint at that place (EncoderKind.REPORTED), and when.
-        `origin`: another number after each restart of the board."""
+        """Pass the count that a board reports for a joint (EncoderKind.REPORTED). `joint` is its
+        index in `BridgeConfig.joints`; `origin` changes with each restart of the board."""
         sample = {"count": count, "stamp_ns": stamp_ns, "origin": origin}
         lib.pwm_line_put_sample(self._line, joint, ffi.new("encoder_sample *", sample))
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of a real-time line as plain values, named as in api_line.h, which has each field's
-meaning. Making one needs no C."""
+"""The table of a serial line in C, as plain values. api_line.h has the same names, and the meaning
+of each field. To make a table you do not need the C extension."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 
 class Seal(enum.IntEnum):
-    """Check sum at a frame's end."""
+    """Kind of check sum at the end of a frame."""
 
     NONE = 0
     CRC16 = 1
@@ -21,7 +21,7 @@ class Seal(enum.IntEnum):
 
 
 class Form(enum.IntEnum):
-    """How a number stands in a frame."""
+    """Width, sign and byte order of a number in a frame."""
 
     U8 = 0
     I8 = 1
@@ -47,7 +47,7 @@ class SetpointKind(enum.IntEnum):
     VELOCITY = 0
     DUTY = 1
     TORQUE = 2
-    """On a CAN bus only."""
+    """On CAN buses only."""
     POSITION = 3
 
 
@@ -62,7 +62,7 @@ class FieldKind(enum.IntEnum):
     KEPT = 7
     REFERENCED = 8
     TAKEN = 9
-    """On a CAN bus only."""
+    """On CAN buses only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

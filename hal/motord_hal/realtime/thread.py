@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part that the interfaces to the threads of lines in C share, on any medium.
+"""What the interfaces to the threads of lines in C share, on every medium.
 
 The meaning of each field is in csrc/api/line/api_line.h.
 """
@@ -26,7 +26,7 @@ _PLACE = ("fd", "event_fd", "priority", "cpu_mask")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnyDriveReport:
-    """What is reported of every drive."""
+    """The report of a drive: the fields that it has on every medium."""
 
     mode: Mode
     fault_reasons: FaultReason
@@ -34,12 +34,12 @@ class AnyDriveReport:
     stopping: bool
     cycles: int
     stop_waits: bool
-    """It has not received, or not acknowledged, all of its newest stop."""
+    """True: the drive has not received, or not acknowledged, all of its newest stop."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OrderedDriveReport(AnyDriveReport):
-    """The same for a drive that gets orders beside its cycle."""
+    """The report of a drive that also gets orders (frames or writes of jobs) beside its cycle."""
 
     stops: int
     epoch: int
@@ -49,7 +49,7 @@ class OrderedDriveReport(AnyDriveReport):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnyLineReport:
-    """What every line's thread reports."""
+    """The report of a line's thread: the fields that it has on every medium."""
 
     running: bool
     error: int
@@ -66,7 +66,7 @@ Report = TypeVar("Report", bound=AnyLineReport)
 
 
 def report_of(kind: Callable[..., Report], raw: Any, drives: tuple[Any, ...]) -> Report:
-    """A line's report, with those of its drives."""
+    """Convert a line's report from C; `drives` are the reports of its drives."""
     life = raw.life
     return value_of(
         kind,
@@ -82,7 +82,7 @@ def report_of(kind: Callable[..., Report], raw: Any, drives: tuple[Any, ...]) ->
 
 
 def round_trips_of(read_histogram: Callable[[int, Any], None], line: int) -> RoundTrips:
-    """Since the start of the line."""
+    """Return the round-trip times since the start of the line's thread."""
     raw = ffi.new("histogram *")
     read_histogram(line, raw)
     p50, p99 = (lib.histogram_percentile_ns(raw, part) for part in (0.5, 0.99))
@@ -90,20 +90,21 @@ def round_trips_of(read_histogram: Callable[[int, Any], None], line: int) -> Rou
 
 
 def cpu_mask(spec: LineSpec) -> int:
-    """Bit n: CPU n."""
+    """Return the mask of the CPUs of the line's thread: bit n is CPU n; 0: all CPUs."""
     return sum(1 << cpu for cpu in spec.cpu)
 
 
 def config_of(values: Plain, exchange: Exchange) -> dict[str, Any]:
-    """For a thread's config struct: `values` named as in line_place and beside it."""
+    """Return the initialiser of a thread's config struct. The keys of `values` are the names of the
+    fields, those of line_place among them."""
     place = {name: values[name] for name in _PLACE if name in values}
     rest = {name: value for name, value in values.items() if name not in _PLACE}
     return rest | {"at": place | {"exchange": exchange.handle}}
 
 
 def check_plain(name: str, check: Callable[[Any, Any], Any], kind: str, table: Plain) -> None:
-    """`check` in C, of a table's struct. Raises ProfileError for a bad table, with the first bad
-    field's name, and for one with too many entries."""
+    """Check the table of line `name` with `check` in C. `kind` is the C type. Raise ProfileError
+    for too many entries, or with the name of the first bad field."""
     try:
         found = first_bad(check, ffi.new(kind, table))
     except (IndexError, OverflowError) as error:
@@ -113,20 +114,21 @@ def check_plain(name: str, check: Callable[[Any, Any], Any], kind: str, table: P
 
 
 def check_code(code: int, what: str) -> None:
-    """Raises HalError for -errno."""
+    """Raise HalError if a result from C is -errno."""
     if code < 0:
         raise HalError(f"{what}: {os.strerror(-code)}")
 
 
 def is_taken(code: int, what: str) -> bool:
-    """False: the queue is full. Raises HalError where the thread has ended."""
+    """Return whether the thread's queue took an entry; False: it is full. Raise HalError if the
+    thread has ended."""
     if code != -errno.EAGAIN:
         check_code(code, what)
     return code != -errno.EAGAIN
 
 
 class LineThreadHandle:
-    """What asyncio requests of one line's thread. One caller's thread at a time."""
+    """Sends the requests of asyncio to one line's thread. Use it from one thread at a time."""
 
     def __init__(
         self,
@@ -135,20 +137,21 @@ class LineThreadHandle:
         put_control: Callable[[int, Any], None],
         stop: Callable[[int], int],
     ) -> None:
-        """`control`: a zeroed struct of the medium's own."""
+        """`control` is a zeroed control struct of the medium, for example line_control."""
         self._line = line
         self._control = control
         self._send_control = put_control
         self._stop = stop
 
     def stop(self) -> None:
-        """The thread has ended when this returns. Does nothing without a thread."""
+        """End the thread and wait for its end. Do nothing if there is no thread."""
         code = self._stop(self._line)
         if code != -errno.ESRCH:
             check_code(code, "the line cannot be stopped")
 
     def request_mode(self, drive: int, mode: int) -> int:
-        """Request a Mode; returns the request's count, which the report shows when it was seen."""
+        """Request a Mode of a drive. Return the count of the request, which the report shows as
+        `request_seen` once the thread has seen it."""
         raw = self._request_of(drive)
         raw.count += 1
         raw.mode = mode
@@ -156,17 +159,17 @@ class LineThreadHandle:
         return int(raw.count)
 
     def requested(self, drive: int) -> int:
-        """The count of the newest request."""
+        """Return the count of the newest request."""
         return int(self._request_of(drive).count)
 
     def allow_arming(self, drive: int, until_ns: int) -> None:
-        """Until then the drive may report that it is enabled although it is not armed; 0: not any
-        more."""
+        """Allow that the drive, until `until_ns`, reports that it is enabled although it is not
+        armed; 0 ends the permission."""
         self._request_of(drive).arming_until_ns = until_ns
         self._put_control()
 
     def shut_down(self) -> None:
-        """Quick stop, power off, silence: the report shows when it is done."""
+        """Request a quick stop, then a power-off, then silence. The report shows the end of it."""
         self._control.shut_down = 1
         self._put_control()
 

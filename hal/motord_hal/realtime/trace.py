@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What went over a line whose thread is in C: csrc/api/api_trace.h."""
+"""The trace of a line whose thread is in C (csrc/api/api_trace.h)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from motord_hal.fieldbus.trace import TraceEntry
 
 
 class RtTrace:
-    """As fieldbus.trace.Trace: the thread writes, asyncio reads."""
+    """Implements `fieldbus.trace.Trace`: the thread writes the entries, asyncio reads them."""
 
     def __init__(self, line: int) -> None:
         self._line = line

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines whose cycle runs in C: here they are planned, opened, set up, armed and watched."""
+"""Lines whose cycle runs in C. Python plans, opens, sets up, arms and watches them."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line whose cycle runs in C: opened, set up, armed and watched from asyncio.
+"""A line whose cycle runs in a thread in C. From asyncio it is opened, set up, armed and watched.
 
 When asyncio is late, hogged or dead, the thread goes on: it stops its drives when set-points are
 old.
@@ -25,8 +25,8 @@ from motord_hal.rt_engine.notifier import Notifier
 from motord_hal.rt_engine.rs485.drive import RtDrive
 
 SHUTDOWN_WITHIN_S = 3.1
-"""The thread itself needs 0.5 s, 1 s if drives report that they still have power, and 3 s at most
-if they do not answer."""
+"""Deadline for the shut-down. The thread itself needs 0.5 s, 1 s if drives report that they still
+have power, and 3 s at most if they do not answer."""
 
 
 Report = TypeVar("Report", bound=AnyLineReport)
@@ -35,7 +35,7 @@ AnyDrive = TypeVar("AnyDrive", bound=RtDrive)
 
 
 class ReportingThread(Protocol[ReportOut]):
-    """A line's thread."""
+    """The interface that RtLineBase needs from the thread of its line."""
 
     def stop(self) -> None: ...
     def shut_down(self) -> None: ...
@@ -43,7 +43,7 @@ class ReportingThread(Protocol[ReportOut]):
 
 
 class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
-    """What lines of engine "rt" share, on any medium."""
+    """The part that all lines of the engine "rt" share, on every medium."""
 
     _thread: ReportingThread[Report]
 
@@ -57,26 +57,28 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
     def engine(self) -> str:
         return "rt"
 
-    # --------------------------------------------------------------------------------- its own port
+    # ------------------------------------------------------------------------------------- the port
     @abc.abstractmethod
     async def _start(self) -> tuple[str, ...]:
-        """Open the port, start the thread, take its first report. Returns what the user should
-        know. Raises HalError."""
+        """Open the port, start the thread, take its first report. Return facts for the user, which
+        the event LINE_OPEN shows. Raise HalError if it fails."""
 
     @abc.abstractmethod
     def _close_port(self) -> None:
-        """The thread has ended; its last report can still be read."""
+        """Close the port. It is called after the thread has ended; the last report of the thread
+        can still be read."""
 
     @abc.abstractmethod
     def _is_steady(self, report: Report) -> bool:
-        """Whether it works; then it is reopened at once when it fails again."""
+        """Whether the line works well enough to reset the back-off, so that it is reopened at once
+        after its next failure."""
 
     def _look(self) -> Report:
-        """Take in the thread's report."""
+        """Read the thread's newest report and pass it on."""
         return self._take_report()
 
     def _ended(self, report: Report) -> PortError | None:
-        """Why the line is lost; None: it works."""
+        """Return the reason why the line is lost; None: it works."""
         if not report.running:
             return PortError(f"{self.spec.port} went away: {os.strerror(report.error)}")
         if self._is_steady(report):
@@ -85,7 +87,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
 
     # ------------------------------------------------------------------------------------ the task
     async def run(self) -> None:
-        """As ports.Line.run."""
+        """Implement `ports.Line.run`."""
         self._notifier.open()
         try:
             await super().run()
@@ -102,8 +104,8 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
         self._report = None
 
     async def _work(self) -> None:
-        """Set up and watch the drives while the thread runs; raises PortError with the reason for
-        its end."""
+        """Set up and watch the drives while the thread runs; then raise PortError with the reason
+        for its end."""
         async with asyncio.TaskGroup() as group:
             tasks = [
                 group.create_task(task())
@@ -124,14 +126,15 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
             await self._notifier.wait()
 
     def _take_report(self) -> Report:
-        """Pass the newest report to its drives."""
+        """Read the newest report and pass it to the drives."""
         report = self._report = self._thread.report()
         for drive, drive_report in zip(self._drives, report.drives, strict=True):
             drive.update(drive_report, report.fault_words)
         return report
 
     async def _shut_down(self) -> None:
-        """Quick stop, then power off, on every drive: C does it, and this waits for it."""
+        """Request a quick stop and then a power-off of every drive, and wait until the thread in C
+        has done it. Report the drives for which it is not confirmed."""
         self._thread.shut_down()
         report = self._thread.report()
         with contextlib.suppress(TimeoutError):
@@ -145,7 +148,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
             "it was not confirmed",
         )
 
-    # ---------------------------------------------------------------------------------- its orders
+    # ------------------------------------------------------------------------------------ commands
     def _setpoints_ns(self) -> int:
         return self._take_report().setpoints_ns
 
@@ -164,7 +167,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
         await all_of([drive.clear_faults() for drive in drives])
 
     async def write_register(self, joint: str, register: str, value: float) -> float:
-        """As ports.Line.write_register."""
+        """Implement `ports.Line.write_register`."""
         drive = self._drive_of(joint)
         steps = write_steps(drive.profile, register, value)
         self._check_open()
@@ -172,7 +175,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
 
 
 async def all_of(work: list[Coroutine[Any, Any, None]]) -> None:
-    """All at once; the first HalError ends the others and is raised."""
+    """Run all coroutines at the same time. The first HalError ends the others and is raised."""
     try:
         async with asyncio.TaskGroup() as group:
             for one in work:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The line counters over all threads that a line has had: each starts with zeros."""
+"""The sums of the line counters over all threads that a line has had. Each thread counts from 0."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _ERRORS = ("no_reply", "bad_reply", "refused")
 
 
 class LineCounters:
-    """Counts of earlier threads and of the present one."""
+    """Adds the counters of earlier threads and of the present one."""
 
     def __init__(self, wire_limit_hz: float) -> None:
         self._wire_limit_hz = wire_limit_hz
@@ -21,7 +21,7 @@ class LineCounters:
         self._round_trip = RoundTrips()
 
     def close(self, thread: LineThread) -> None:
-        """The thread has ended: keep what it counted."""
+        """Add the counters of a thread that has ended."""
         report = thread.report()
         self._exchanges += report.exchanges
         self._cycles += _cycles(report)
@@ -29,7 +29,8 @@ class LineCounters:
         self._round_trip = thread.round_trips()
 
     def stats(self, report: LineReport | None, thread: LineThread) -> LineStats:
-        """Without the line's own counts. `report`: None if no thread runs."""
+        """Return the sums, without what the line itself counts (reopenings, port errors). `report`
+        is None if no thread runs."""
         stats = LineStats(
             exchanges=self._exchanges,
             cycles=self._cycles,
@@ -51,14 +52,14 @@ def _cycles(report: LineReport) -> int:
 
 
 def _cycle_hz(report: LineReport) -> float:
-    """Of the slowest drive that is in the cycle."""
+    """Return the cyclic rate of the slowest drive that is ready or armed; 0: no drive is."""
     asked = (drive for drive in report.drives if drive.mode in (Mode.READY, Mode.ARMED))
     slowest_ns = max((drive.cycle_ns for drive in asked), default=0)
     return 1e9 / slowest_ns if slowest_ns else 0.0
 
 
 def _with(errors: dict[str, int], report: LineReport) -> dict[str, int]:
-    """The same with the report's counts; counters of zero are left out."""
+    """Return the sums of `errors` and of the errors in the report, without counters of zero."""
     total = dict(errors)
     for kind in _ERRORS:
         count = sum(getattr(drive, kind) for drive in report.drives)

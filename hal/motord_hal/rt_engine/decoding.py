@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of drive profiles, for the tables of every medium: pure."""
+"""Numbers from drive profiles for the tables of every medium: kinds, factors and limits. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from motord_hal.realtime.table import FieldKind, SetpointKind
 
 
 def sources_of(profile: DriveProfile, channel: Channel) -> Iterator[tuple[FieldKind, str]]:
-    """The kinds of values of a channel, and their registers."""
+    """Return the kind of each value that a channel can report, and its register."""
     sources = {
         FieldKind.COUNT: channel.position,
         FieldKind.VELOCITY: channel.velocity,
@@ -26,7 +26,7 @@ def sources_of(profile: DriveProfile, channel: Channel) -> Iterator[tuple[FieldK
 
 
 def setpoint_kind(channel: Channel) -> SetpointKind:
-    """The values that are reported of its joint."""
+    """Return the kind of set-point that the channel takes."""
     if channel.torque_setpoint is not None:
         return SetpointKind.TORQUE
     if channel.position_setpoint is not None:
@@ -35,7 +35,7 @@ def setpoint_kind(channel: Channel) -> SetpointKind:
 
 
 def raw_offset(joint: JointSpec, profile: DriveProfile) -> float:
-    """The raw set-point of an angle of 0; 0 for other set-points."""
+    """Return the raw set-point for the angle 0; 0 for set-points that are not positions."""
     channel = profile.channels[joint.channel]
     if channel.position_setpoint is None:
         return 0.0
@@ -47,7 +47,8 @@ def raw_offset(joint: JointSpec, profile: DriveProfile) -> float:
 
 
 def raw_per_rad(joint: JointSpec, profile: DriveProfile) -> float:
-    """Raw set-point for each radian of a joint that takes positions, by the core's conversion."""
+    """Return the raw set-point for one radian of a joint that takes positions, as the core
+    converts it."""
     register = profile.registers[profile.channels[joint.channel].setpoint]
     counts = (joint.counts_per_turn or profile.counts_per_turn) * joint.gear_ratio
     sign = -1.0 if joint.inverted else 1.0
@@ -56,14 +57,16 @@ def raw_per_rad(joint: JointSpec, profile: DriveProfile) -> float:
 
 
 def raw_per_s(joint: JointSpec, profile: DriveProfile) -> float:
-    """How fast the target of a joint that takes positions may move; of others 0."""
+    """Return the highest speed of the target of a joint that takes positions, in raw steps a
+    second; 0 for other joints."""
     if profile.channels[joint.channel].position_setpoint is None:
         return 0.0
     return abs(raw_per_rad(joint, profile)) * joint.position_velocity_rad_s
 
 
 def _unit_per_count(joint: JointSpec, profile: DriveProfile, register: Register) -> float:
-    """A register in turns has the counts a turn of the profile."""
+    """Return the register's unit for one count: 1 for a register in counts, else 1 / counts per
+    turn, because the register is in turns."""
     counts = joint.counts_per_turn or profile.counts_per_turn
     return 1.0 if register.unit == "count" else 1.0 / counts
 
@@ -71,7 +74,8 @@ def _unit_per_count(joint: JointSpec, profile: DriveProfile, register: Register)
 def setpoint_scale(
     joint: JointSpec, channel: Channel, si_per_raw: float, limits: tuple[float, float]
 ) -> dict[str, Any]:
-    """setpoint_scale of csrc/api/line/api_line.h."""
+    """Return the struct setpoint_scale (csrc/api/line/api_line.h) of a joint. `limits`: least and
+    greatest raw value."""
     sign = -1.0 if joint.inverted else 1.0
     factor = sign * channel.to_motor(joint.gear_ratio) / si_per_raw
     takes_position = channel.position_setpoint is not None
@@ -87,7 +91,8 @@ def setpoint_scale(
 
 
 def harmless(profile: DriveProfile) -> tuple[int, tuple[int, ...] | None]:
-    """Warnings: as bits, or as codes on drives that number their faults."""
+    """Return the faults that are only warnings: their bits and None, or, if the drive numbers its
+    faults, 0 and their codes."""
     warnings = [fault for fault in profile.faults if fault.severity == "warning"]
     if any(fault.code is not None for fault in profile.faults):
         return 0, tuple(fault.code for fault in warnings if fault.code is not None)
@@ -95,7 +100,8 @@ def harmless(profile: DriveProfile) -> tuple[int, tuple[int, ...] | None]:
 
 
 def harmless_words(profile: DriveProfile) -> dict[str, Any]:
-    """The same for field_meaning of csrc/api/line/api_line.h."""
+    """Return the faults that are only warnings as the fields of the struct field_meaning
+    (csrc/api/line/api_line.h)."""
     bits, codes = harmless(profile)
     listed = codes or ()
     return {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How asyncio learns what a line's thread has done."""
+"""The notifier wakes asyncio when a line's thread has done something."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import os
 from collections.abc import Callable
 
 LOOK_EVERY_S = 0.5
-"""How often the report is read without a wake: important changes wake."""
+"""Longest time between two reads of the report. Important changes wake asyncio before."""
 
 
 class Notifier:
-    """The eventfd that the thread writes, and the tasks that wait for a condition."""
+    """The eventfd that the thread writes to, and the tasks that wait for a condition."""
 
     def __init__(self) -> None:
         self.event_fd = -1
@@ -36,11 +36,11 @@ class Notifier:
         self.poke()
 
     def poke(self) -> None:
-        """There is a new report."""
+        """Wake the task that waits for a new report."""
         self._called.set()
 
     async def wait(self) -> None:
-        """Wait for a new report; LOOK_EVERY_S at most."""
+        """Wait for a new report, LOOK_EVERY_S at most."""
         timer = asyncio.get_running_loop().call_later(LOOK_EVERY_S, self.poke)
         try:
             await self._called.wait()
@@ -49,7 +49,7 @@ class Notifier:
         self._called.clear()
 
     def looked(self) -> None:
-        """A new report has been taken in: tasks whose condition is true go on."""
+        """Wake the tasks whose condition is now true. Call it after each new report."""
         for condition, future in self._waiting:
             if not future.done() and condition():
                 future.set_result(None)
@@ -58,7 +58,7 @@ class Notifier:
         ]
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        """Returns when the condition holds after a report."""
+        """Wait until the condition holds. It is checked now and after each report."""
         while not condition():
             future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
             self._waiting.append((condition, future))

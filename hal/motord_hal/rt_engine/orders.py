@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs of a drive whose requests are orders to the thread in C: they go out beside its cycle."""
+"""Jobs of a drive whose requests are orders to the thread in C, sent beside the cycle."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from motord_hal.base.errors import HalError
 from motord_hal.realtime.thread import LineThreadHandle, OrderedDriveReport
 
 ORDER_WITHIN_S = 0.5
-"""How long an order may wait while the medium takes nothing."""
+"""Longest time that an order may wait while the medium takes nothing."""
 SEEN_WITHIN_S = 1.0
 ARM = "arm"
-"""Once a stop was sent to the drive, nothing of this job is sent any more."""
+"""Name of the job that arms a drive. Once the drive was sent a stop, the thread sends no order of
+this job any more."""
 
 
 class OrderJobs(abc.ABC):
-    """One job at a time; an urgent one does not wait."""
+    """Runs the jobs of a drive one at a time; an urgent job does not wait for the others."""
 
     def __init__(self, index: int, name: str, thread: LineThreadHandle, cycle_s: float) -> None:
-        """`index`: the drive's number in the line's table."""
+        """`index` is the drive's number in the line's table."""
         self._index = index
         self._name = name
         self._handle = thread
@@ -31,11 +32,11 @@ class OrderJobs(abc.ABC):
 
     @abc.abstractmethod
     def _drive_report(self) -> OrderedDriveReport:
-        """The drive's newest."""
+        """Read the newest report of the drive."""
 
     @abc.abstractmethod
     def _ordered(self) -> int:
-        """How many orders were handed over since the start."""
+        """Return the number of orders passed to the thread since its start."""
 
     @property
     def request_limit_s(self) -> float:
@@ -46,7 +47,7 @@ class OrderJobs(abc.ABC):
         return contextlib.nullcontext() if urgent else self._turn
 
     async def _all_sent(self, dropped_before: int) -> bool:
-        """Waits until all orders have gone out. False: some were dropped."""
+        """Wait until the thread has sent all orders. False: some were dropped, or time is up."""
         until_s = now_s() + self.request_limit_s + SEEN_WITHIN_S
         while now_s() < until_s:
             await asyncio.sleep(self._cycle_s)
@@ -58,7 +59,8 @@ class OrderJobs(abc.ABC):
         return False
 
     async def _stops(self) -> int:
-        """How often C has stopped the drive, all requests so far included. Raises HalError."""
+        """Return how often C has stopped the drive, after it has seen all mode requests so far.
+        Raise HalError if the thread does not see them in time."""
         requested = self._handle.requested(self._index)
         until_s = now_s() + SEEN_WITHIN_S
         while now_s() < until_s:

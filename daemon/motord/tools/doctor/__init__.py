@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord doctor`: what is wrong with this machine, its devices, the drives, and a running daemon,
-each with the command that fixes it."""
+"""`motord doctor`: finds problems of this machine, its devices, the drives and a running daemon,
+and shows for each the command that fixes it."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The devices that a robot file names: are they there, may this user open them, are they set up as
-the file says, and does another program hold them."""
+"""Checks of the devices in a robot file: whether they exist, whether this user may open them,
+whether they are set up as in the file, and whether another program has them open."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ UDEV_RULES = "/etc/udev/rules.d/99-motord.rules"
 
 
 def look(root: Root, robot: Robot | None, daemon_pids: Collection[int] = ()) -> Iterator[Finding]:
-    """Of the robot file; without one, the latency timers of all adapters. `daemon_pids`: the
-    processes that may hold the devices."""
+    """Check the devices of the robot file; without one, the latency timers of all adapters.
+    `daemon_pids` are the processes that may have the devices open."""
     if robot is None:
         for timer in root.glob("/sys/class/tty/*/device/latency_timer"):
             yield from _timer(root, f"/dev/{timer.parts[-3]}")
@@ -106,7 +106,7 @@ def _group(root: Root, number: int) -> str:
 
 
 def _timer(root: Root, device: str) -> Iterator[Finding]:
-    """Of an FTDI adapter."""
+    """Check the latency timer of an adapter; only FTDI adapters have one."""
     name = Path(os.path.realpath(root.path(device))).name
     file = f"/sys/class/tty/{name}/device/latency_timer"
     timer_ms = root.number(file)
@@ -149,7 +149,8 @@ def _can(root: Root, where: str, channel: str, bitrate: int) -> Iterator[Finding
 
 # ---------------------------------------------------------------------------------------------- PWM
 def _functions(root: Root, where: str, pins: Collection[str]) -> Iterator[Finding]:
-    """Lines of a Raspberry Pi that another device has, as far as the kernel shows it (root)."""
+    """Find GPIO lines of a Raspberry Pi that belong to another device. The kernel shows this only
+    to root."""
     tree, debug = root.path("/proc/device-tree"), root.path("/sys/kernel/debug")
     if "brcm,bcm2" not in root.text("/proc/device-tree/compatible"):
         return

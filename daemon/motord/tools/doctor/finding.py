@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the doctor finds, and the machine that it looks at: files below one root, so that a test can
-plant a machine."""
+"""The findings of the doctor, and access to the machine that it checks. All files are below one
+root folder, so that a test can put the files of another machine there."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FIX_WITHIN_S = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Write:
-    """A fix that writes one value into one file of the kernel; it lasts until the next start."""
+    """A fix that writes a value to a file of the kernel; it lasts until the machine restarts."""
 
     path: Path
     value: str
@@ -25,7 +25,7 @@ class Write:
         return f"echo {self.value} | sudo tee {self.path}"
 
     def apply(self) -> str:
-        """Empty, or what it failed by."""
+        """Apply the fix. Return an empty string, or the error."""
         try:
             self.path.write_text(f"{self.value}\n", encoding="ascii")
         except OSError as error:
@@ -43,7 +43,7 @@ class Run:
         return f"sudo {' '.join(self.words)}"
 
     def apply(self) -> str:
-        """Empty, or what it failed by."""
+        """Apply the fix. Return an empty string, or the error."""
         try:
             done = subprocess.run(
                 self.words, stdin=subprocess.DEVNULL, capture_output=True, text=True,
@@ -59,21 +59,22 @@ Fix = Write | Run
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One line of the report."""
+    """The result of one check: a line of the report."""
 
     group: str
-    """machine, device, extra, drive or daemon."""
+    """"machine", "device", "extra", "drive" or "daemon"."""
     check: str
-    """A short name."""
+    """Short name of the check."""
     verdict: Verdict
     text: str
     mend: str = ""
-    """A command or a setting."""
+    """A command or a setting that solves the problem; empty: there is no problem."""
     fixes: tuple[Fix, ...] = ()
-    """Safe fixes: they move nothing, and what they change has no other user."""
+    """Fixes that are safe to apply: they move nothing, and no other program uses what they
+    change."""
 
     def to_json(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """Return the finding as a JSON object."""
         return {
             "group": self.group, "check": self.check, "verdict": self.verdict, "text": self.text,
             "mend": self.mend, "can_fix": bool(self.fixes),
@@ -81,7 +82,7 @@ class Finding:
 
 
 class Root:
-    """The machine's files. `ask_bit_rate`: the kernel's answer for a CAN interface, bits/s."""
+    """Reads the machine's files. `ask_bit_rate` returns the bit rate of a CAN interface, bits/s."""
 
     def __init__(
         self,
@@ -93,15 +94,15 @@ class Root:
 
     @property
     def real(self) -> bool:
-        """This machine, and no planted one."""
+        """Whether this is the real machine, and not the files of a test."""
         return self.root == Path("/")
 
     def path(self, path: str) -> Path:
-        """Of an absolute path."""
+        """Return the place of an absolute path below the root."""
         return self.root / path.lstrip("/")
 
     def text(self, path: str) -> str:
-        """Without the space around it; empty where it is missing or not ours to read."""
+        """Return a file's text without white space around it; empty if it cannot be read."""
         try:
             found = self.path(path).read_text(encoding="utf-8", errors="replace")
         except OSError:
@@ -109,27 +110,27 @@ class Root:
         return found.strip("\0 \n\t")
 
     def number(self, path: str) -> int | None:
-        """None: it is missing, or not a number."""
+        """Return the number in a file; None: it cannot be read, or is not a number."""
         try:
             return int(self.text(path), 0)
         except ValueError:
             return None
 
     def glob(self, pattern: str) -> Sequence[Path]:
-        """Sorted; empty where nothing fits."""
+        """Return the paths that match, sorted."""
         try:
             return sorted(self.root.glob(pattern.lstrip("/")))
         except OSError:
             return ()
 
     def status(self, name: str) -> str:
-        """A field of this program's /proc/self/status."""
+        """Return a field of this program's /proc/self/status; empty if it is missing."""
         rows = self.text("/proc/self/status").splitlines()
         found = [row.partition(":")[2].strip() for row in rows if row.startswith(f"{name}:")]
         return found[0] if found else ""
 
     def limit(self, name: str) -> str:
-        """The soft limit of a row of /proc/self/limits; empty where it is not there."""
+        """Return the soft limit in a row of /proc/self/limits; empty if the row is missing."""
         for row in self.text("/proc/self/limits").splitlines():
             if row.startswith(name):
                 return row[len(name) :].split()[0]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The five heartbeats of a running daemon: its process and threads, its topics, its rates, its
-values, and its devices. And each line's drives, as the daemon finds them."""
+"""Checks of a running daemon: the drives on each line, and five signs that the daemon works (its
+heartbeats): process and threads, topics, rates, values, devices."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from motord_hal.serial.sysfs import holders
 LOOKS = 7
 LOOK_PERIOD_S = 0.5
 STEADY = 0.05
-"""A rate is steady if no window differs more from their mean."""
+"""Largest deviation of a steady rate: part by which one window may differ from the nominal or mean
+rate."""
 FRESH_S = 1.0
 VOLTAGE_V, TEMPERATURE_C = (5.0, 100.0), (-40.0, 125.0)
 _STOPPED = {"T": "is stopped by a signal", "Z": "has ended", "D": "waits for a device"}
@@ -27,14 +28,15 @@ _LINE_THREADS = ("motord-line", "motord-can", "motord-board", "motord-pwm")
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """One answer, and when it came."""
+    """A status of the daemon, and the time at which it came."""
 
     at_s: float
     found: Status
 
 
 def observe(client: Client) -> list[Look]:
-    """LOOKS answers in LOOK_PERIOD_S. Raises ClientError."""
+    """Read the status LOOKS times, each LOOK_PERIOD_S after the one before. Raise ClientError if
+    the daemon does not answer."""
     looks = []
     for number in range(LOOKS):
         if number:
@@ -45,7 +47,8 @@ def observe(client: Client) -> list[Look]:
 
 
 def judge(root: Root, looks: Sequence[Look]) -> Iterator[Finding]:
-    """The drives, then the five heartbeats; of observations, the newest last."""
+    """Yield the findings about the drives, then those about the heartbeats. The newest of the looks
+    is the last one."""
     newest = looks[-1].found
     yield from _drives(newest)
     yield _state(newest)
@@ -123,7 +126,7 @@ def _process(root: Root, looks: Sequence[Look]) -> Finding:
 
 
 def _topics(found: Status) -> Finding:
-    """Everything that the buses publish comes from these."""
+    """Check the ages of the data from which everything on the buses is made."""
     check, missing = "2 topics", []
     if found.odometry.age_s is None or found.odometry.age_s > FRESH_S:
         missing.append("odometry")
@@ -156,8 +159,8 @@ def _rates(looks: Sequence[Look]) -> Iterator[Finding]:
 
 
 def _published(looks: Sequence[Look]) -> Iterator[Finding]:
-    """Each topic of each publisher, the daemon's and those of motord-bus, which reports once a
-    second: over the whole time, so that a slow topic has its messages."""
+    """Check the rate of each topic of each publisher, of the daemon and of motord-bus, which
+    reports once a second. The rate is over all looks, so that also a slow topic has messages."""
     own = [(look.at_s, look.found.publishers) for look in looks]
     of_bus = [
         (look.found.bus["at_s"], look.found.bus["publishers"])
@@ -181,7 +184,8 @@ def _published(looks: Sequence[Look]) -> Iterator[Finding]:
 
 
 def _topic_rate(what: str, messages: int, rate_hz: float, span_s: float) -> Finding:
-    """A message more or less is no fault of a topic that has few in this time."""
+    """Check the rate of a topic. One message more or less is no problem for a topic that has few in
+    this time."""
     check, due = f"3 rate of {what}", rate_hz * span_s
     text = f"{messages / span_s:.1f} Hz of {rate_hz:g} Hz"
     if abs(messages - due) <= max(STEADY * due, 1.5):
@@ -191,7 +195,7 @@ def _topic_rate(what: str, messages: int, rate_hz: float, span_s: float) -> Find
 
 
 def _windows(counts: Sequence[tuple[float, int]]) -> list[float]:
-    """Rates between each two looks, in Hz."""
+    """Return the rate between each two adjacent looks, in Hz."""
     return [
         (after[1] - before[1]) / (after[0] - before[0])
         for before, after in itertools.pairwise(counts)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The machine without its drives: kernel, processors, limits, memory, disk, clock, board.
+"""Checks of the machine without its drives: kernel, processors, limits, memory, disk, clock, board.
 
 Sources: sched(7), proc_sys_kernel(5), Documentation/admin-guide/pm/cpufreq.rst, pm_qos_interface,
 Raspberry Pi firmware (get_throttled), drivers/hwmon/raspberrypi-hwmon.c, nvpmodel of Jetson Linux.
@@ -23,14 +23,15 @@ PRIORITY = 80
 DISK_FREE_MIN_BYTES = 200 * 1024 * 1024
 _DISKS = ("/", "/run", "/dev/shm")  # noqa: S108  # the state page is there
 _UNSYNCHRONISED = 5
-"""TIME_ERROR of adjtimex(2)."""
+"""Result TIME_ERROR of adjtimex(2): the clock is not synchronised."""
 _THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 _NOW, _SINCE_START = 0xF, 0xF0000
-"""Bits 0 to 3: now; 16 to 19: since the start. Bit 0 of each is under-voltage."""
+"""Masks in get_throttled: bits 0 to 3 now, 16 to 19 since the start. The lowest bit of each is
+under-voltage."""
 
 
 def look(root: Root) -> Iterator[Finding]:
-    """All of it; what this machine does not have is left out."""
+    """Run all checks; those of hardware that this machine does not have give no finding."""
     yield _kernel(root)
     yield from _governor(root)
     yield _isolated(root)
@@ -164,7 +165,7 @@ def _disk(root: Root) -> Iterator[Finding]:
 
 
 def _clock(root: Root) -> Iterator[Finding]:
-    """The wall clock stamps messages for other machines; control uses CLOCK_MONOTONIC."""
+    """Check the wall clock. It stamps messages for other machines; control uses CLOCK_MONOTONIC."""
     synchronised = root.path("/run/systemd/timesync/synchronized").exists()
     if synchronised or (root.real and _kernel_clock_is_set()):
         yield _machine("clock", "ok", "synchronised")
@@ -176,7 +177,7 @@ def _clock(root: Root) -> Iterator[Finding]:
 
 
 def _kernel_clock_is_set() -> bool:
-    """By adjtimex(2), which every time service uses."""
+    """Whether the kernel's clock is synchronised, by adjtimex(2), which every time service uses."""
     try:
         adjtimex = ctypes.CDLL(None).adjtimex
     except (OSError, AttributeError):
@@ -225,9 +226,9 @@ def _jetson(root: Root) -> Iterator[Finding]:
         yield _machine("power mode", "warn", text, f"sudo nvpmodel -m {full[0]}")
 
 
-# --------------------------------------------------------------------------------- who this user is
+# ---------------------------------------------------------------------------------------- this user
 def user(root: Root) -> str:
-    """This user's name, for commands."""
+    """Return this user's name, for commands; "$USER" if it is not in /etc/passwd."""
     number = root.status("Uid").split()[:1]
     rows = (row.split(":") for row in root.text("/etc/passwd").splitlines())
     found = [row[0] for row in rows if len(row) > 2 and [row[2]] == number]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A daemon of its own for a few seconds, to see a robot's drives while none runs. It is disarmed,
-its socket is in a folder that only this user can enter, and it starts no buses."""
+"""Starts a daemon for a few seconds, to check a robot's drives while no daemon runs. It is
+disarmed, its socket is in a folder that only this user can enter, and it starts no buses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ LOOK_EVERY_S = 0.1
 
 @contextlib.contextmanager
 def daemon(robot_file: Path, overrides: Sequence[str]) -> Iterator[Client]:
-    """Connected; its lines are ready, or have had SETTLE_WITHIN_S. Raises ClientError."""
+    """Run a daemon in this block. Yield a client, once its lines are ready or SETTLE_WITHIN_S has
+    passed. Raise ClientError if the daemon does not start."""
     with tempfile.TemporaryDirectory(prefix="motord-doctor-") as folder:
         path, log = Path(folder) / "trial.sock", Path(folder) / "log"
         words = [sys.executable, "-m", "motord", "run", str(robot_file), "--no-bus"]

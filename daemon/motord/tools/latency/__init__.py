@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord latency`."""
+"""`motord latency`: measures how late the real-time loop is on this machine."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process that loads the machine until it is killed or its parent is gone: run as a script with
-`cpu|io|fifo|fork|faults PARENT_PID WHERE`. Prints one byte when it is at work. WHERE is the folder
-to write to, or the processors to run on ("-": any)."""
+"""A process that loads the machine until it is killed or its parent has ended. Run it as a script
+with `cpu|io|fifo|fork|faults PARENT_PID WHERE`. It prints one byte when it has begun. WHERE is the
+folder to write to, or the processors to run on ("-": any)."""
 
 import mmap
 import os
@@ -13,10 +13,11 @@ from collections.abc import Callable
 
 BLOCK_BYTES = 1 << 20
 BALLAST_BYTES = 256 << 20
-"""What each fork copies the page tables of, and what the thread takes and gives back."""
+"""Memory whose page tables each fork copies, or that the thread allocates and frees repeatedly."""
 FIFO_PRIORITY = 90
 BUSY_S, PAUSE_S = 0.003, 0.017
-"""Of the real-time process: three periods of a loop at 1 kHz, 50 times a second."""
+"""Times of the real-time process: it is busy for three periods of a loop at 1 kHz, 50 times a
+second."""
 
 
 def burn_cpu() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two reports of `motord latency --json` side by side. Pure, but for reading the files."""
+"""Compares two reports of `motord latency --json`. Pure, except `read_report`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ReportUnusable(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One figure in both reports; None where a report has none."""
+    """One figure of both reports; None: the report does not have it."""
 
     name: str
     a: float | None
@@ -37,7 +37,7 @@ class Row:
 
     @property
     def ratio(self) -> float | None:
-        """b / a; None where one is missing or a is zero."""
+        """b / a; None if one is missing or a is zero."""
         return None if self.a is None or self.b is None or self.a == 0.0 else self.b / self.a
 
     def to_json(self) -> dict[str, float | None]:
@@ -50,7 +50,7 @@ class Comparison:
     rows: tuple[Row, ...]
     classes: tuple[str, str]
     differences: dict[str, tuple[Any, Any]]
-    """Conditions in which the two runs differ: the ratios are due to these as well."""
+    """Conditions that differ between the two runs, and so also cause the ratios."""
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -61,7 +61,7 @@ class Comparison:
 
 
 def read_report(path: Path) -> dict[str, Any]:
-    """Raises ReportUnusable, which names the file and what is wrong with it."""
+    """Read a report. Raise ReportUnusable, with the file and its problem, if that fails."""
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -78,7 +78,7 @@ def read_report(path: Path) -> dict[str, Any]:
 
 
 def compare(a: dict[str, Any], b: dict[str, Any]) -> Comparison:
-    """Every percentile of both, b / a, and under what different conditions they came about."""
+    """Compare every percentile of two reports; list the conditions that differ."""
     rows = [Row("overruns_percent", overruns_percent(a), overruns_percent(b))]
     rows += [
         Row(f"{'.'.join(keys)}.{name}", figure(a, keys, name), figure(b, keys, name))
@@ -111,7 +111,8 @@ def overruns_percent(report: dict[str, Any]) -> float | None:
 
 
 def per_cyclictest(report: dict[str, Any], name: str) -> float | None:
-    """The loop beside the machine's own floor of the same time: what compares between machines."""
+    """Return the loop's lateness divided by cyclictest's at the same time. This ratio is comparable
+    between machines."""
     return Row(
         name, figure(report, ("cyclictest_us",), name), figure(report, ("lateness_us",), name)
     ).ratio

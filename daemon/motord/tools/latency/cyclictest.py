@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""cyclictest (rt-tests) beside the loop: the same rate, priority, processors and time, so that a
-stall of the machine shows in both."""
+"""Runs cyclictest (rt-tests) beside the loop with the same rate, priority, processors and time, so
+that a stall of the machine shows in both."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ from motord.tools.latency.report import Bar, Spread
 from motord_hal.base.clock import within
 
 HISTOGRAM_US = 20_000
-"""Later than this is counted as overflow, and given as the maximum."""
+"""Upper end of cyclictest's histogram. Greater values are counted as overflow; percentiles among
+them are replaced by the maximum."""
 END_DEADLINE_S = 5.0
 
 
 class CyclictestError(Exception):
-    """No usable output; the message is cyclictest's own."""
+    """cyclictest has no usable output; the message contains the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class CyclictestResult:
-    """`spread_us` is None where cyclictest is missing or was refused; `note` says why."""
+    """The result of cyclictest. `spread_us` is None if there is none: `note` is then the reason,
+    else the command line."""
 
     spread_us: Spread | None
     histogram: tuple[Bar, ...]
@@ -36,7 +38,8 @@ class CyclictestResult:
 
 
 def command(rate_hz: float, seconds: float, priority: int, cpu: tuple[int, ...]) -> list[str]:
-    """Priority 0 needs --policy=other: with -p0 alone, cyclictest raises itself to SCHED_FIFO."""
+    """Return the command line of cyclictest. Priority 0 needs --policy=other: with -p0 alone,
+    cyclictest raises itself to SCHED_FIFO."""
     scheduler = [f"-p{priority}"] if priority > 0 else ["--policy=other"]
     affinity = [f"-a{','.join(map(str, cpu))}"] if cpu else []
     return [
@@ -46,9 +49,9 @@ def command(rate_hz: float, seconds: float, priority: int, cpu: tuple[int, ...])
 
 
 def parse(text: str) -> tuple[Spread, tuple[Bar, ...]]:
-    """The histogram of one thread as `cyclictest -q -h` prints it: `microseconds count` a line,
-    then summary lines that begin with #. Whole microseconds, rounded down, as cyclictest counts.
-    Raises CyclictestError."""
+    """Parse the histogram of one thread that `cyclictest -q -h` prints: lines `microseconds count`,
+    then summary lines that begin with #. cyclictest rounds down to whole microseconds. Raise
+    CyclictestError if there is no histogram, or no sample in it."""
     counts = {int(us): int(n) for us, n in re.findall(r"^(\d+)[ \t]+(\d+)\s*$", text, re.MULTILINE)}
     maximum = re.search(r"^# Max Latencies: *(\d+)\s*$", text, re.MULTILINE)
     overflows = re.search(r"^# Histogram Overflows: *(\d+)\s*$", text, re.MULTILINE)
@@ -62,7 +65,7 @@ def parse(text: str) -> tuple[Spread, tuple[Bar, ...]]:
 
 
 class Beside:
-    """A cyclictest that runs; `result()` ends it and reads what it counted until then."""
+    """A running cyclictest. `result()` ends it and reads what it has counted until then."""
 
     def __init__(
         self, process: asyncio.subprocess.Process | None, line: list[str], why_not: str = ""
@@ -91,8 +94,9 @@ class Beside:
 async def beside(
     rate_hz: float, seconds: float, priority: int, cpu: tuple[int, ...], *, suspects: bool = False
 ) -> AsyncIterator[Beside]:
-    """Starts cyclictest where it is installed; it is gone after the block, whatever happened. Not
-    in the search for `suspects`: it has the loop's priority, and would be one."""
+    """Run cyclictest in this block if it is installed; after the block it has ended, whatever
+    happened. In the search for `suspects` it does not run: it has the loop's priority and would be
+    a suspect."""
     line = command(rate_hz, seconds, priority, cpu)
     if suspects:
         yield Beside(None, line, "cyclictest does not run with --suspects")
@@ -105,6 +109,6 @@ async def beside(
         try:
             yield cyclictest
         finally:
-            # Killed, it would leave its file in /dev/shm behind.
+            # If it were killed, its file in /dev/shm would remain.
             if process.returncode is None:
                 await cyclictest.result()

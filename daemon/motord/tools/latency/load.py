@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Something for the machine to do while it is measured. All of it ends with the block."""
+"""Loads for the machine while it is measured. All of them end with their block."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from pathlib import Path
 
 LOADS = ("none", "cpu", "io", "gil", "fifo", "fork", "faults")
 CULPRITS = ("fifo", "fork", "faults")
-"""One process that delays the loop in a known manner, for trying --suspects."""
+"""Loads of one process that delays the loop in a known manner, to try --suspects."""
 BURNER = Path(__file__).with_name("burner.py")
 IO_PROCESSES = 2
 START_DEADLINE_S = 20.0
-# A disk where there is one: /tmp is memory on many systems, and its fsync does nothing.
-DISK_DIRECTORIES = ("/var/tmp", "/tmp")  # noqa: S108 private directories are made below it
+# /var/tmp first: /tmp is in memory on many systems, where fsync does nothing.
+DISK_DIRECTORIES = ("/var/tmp", "/tmp")  # noqa: S108 private folders are made in it
 
 
 class LoadError(Exception):
-    """The load could not be put on."""
+    """The load could not be started."""
 
 
 @contextlib.contextmanager
 def load(kind: str, cpu: tuple[int, ...] = ()) -> Iterator[None]:
-    """`cpu`: a process a processor that computes; `io`: processes that write and fsync; `gil`: a
-    thread of this process that never waits; `fifo`: a real-time process above the loop; `fork`: one
-    that starts processes; `faults`: one whose thread takes and gives back memory, these three on
-    the processors `cpu` (none: any); `none`. On when the block begins. Raises LoadError.
-    """
+    """Load the machine in this block. Kinds: `cpu`: one process for each processor computes; `io`:
+    processes write and fsync; `gil`: a thread of this process never waits; `fifo`: a real-time
+    process above the loop; `fork`: a process starts processes; `faults`: a thread of a process
+    allocates and frees memory; `none`. The processors `cpu` (empty: any) are for `fifo`, `fork` and
+    `faults`. The load is on when the block begins. Raise LoadError if it does not start."""
     with contextlib.ExitStack() as cleanup:
         if kind in CULPRITS:
             burn(cleanup, kind, 1, ",".join(map(str, cpu)) or "-")
@@ -50,13 +50,13 @@ def load(kind: str, cpu: tuple[int, ...] = ()) -> Iterator[None]:
 
 
 def disk_directory() -> str | None:
-    """None: what tempfile would take."""
+    """Return the folder to write to; None: the default of `tempfile`."""
     return next((d for d in DISK_DIRECTORIES if os.access(d, os.W_OK | os.X_OK)), None)
 
 
 def burn(cleanup: contextlib.ExitStack, kind: str, count: int, where: str) -> None:
-    """`where`: the folder to write to, or the processors. In sessions of their own: a Ctrl-C is
-    the measurement's, which then ends them."""
+    """Start `count` burners. `where` is the folder to write to, or the processors. They have their
+    own sessions, so that Ctrl-C goes only to the measurement, which then ends them."""
     processes = []
     for _ in range(count):
         process = subprocess.Popen(
@@ -72,7 +72,7 @@ def burn(cleanup: contextlib.ExitStack, kind: str, count: int, where: str) -> No
 
 
 def wait_for_first_byte(process: subprocess.Popen[bytes]) -> None:
-    """Waits until the burner reports that it is at work."""
+    """Wait until the burner reports that it has begun. Raise LoadError if it does not."""
     assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], START_DEADLINE_S)
     if not ready or not process.stdout.read(1):
@@ -91,7 +91,7 @@ def end(process: subprocess.Popen[bytes]) -> None:
 
 @contextlib.contextmanager
 def gil_hog() -> Iterator[None]:
-    """A thread that computes in pure Python and gives the GIL up only when it is taken away."""
+    """Run a thread in this block that computes in Python and never releases the GIL by itself."""
     stop = threading.Event()
 
     def hog() -> None:

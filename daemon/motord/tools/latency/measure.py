@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord latency`: runs the real loop for a while and measures it. What each figure is, and what
-it is not: docs/latency.md."""
+"""`motord latency`: runs the real loop for some time and measures it. docs/latency.md has the
+meaning of each figure."""
 
 from __future__ import annotations
 
@@ -27,10 +27,11 @@ from motord_hal.base.clock import within
 __all__ = ["LatencyError", "LatencyOptions", "Progress", "measure", "run_latency"]
 
 NOTIFY_MAX_HZ = 1000.0
-"""asyncio is woken for every tick up to here: more costs it a processor and shows nothing new."""
+"""Highest rate at which the loop wakes asyncio. A higher one takes all of a processor's time and
+shows nothing more."""
 WINDOW_S = 0.1
 WINDOWS_MAX = 3000
-"""A long run has longer windows: a picture is no wider."""
+"""Greatest number of windows, because a picture cannot show more. A long run has longer windows."""
 PROGRESS_S = 0.5
 CLEAR_DEADLINE_S = 5.0
 
@@ -40,16 +41,16 @@ class LatencyOptions:
     rate_hz: float = 1000.0
     seconds: float = 30.0
     priority: int = 80
-    """SCHED_FIFO 1..99; 0: SCHED_OTHER."""
+    """Priority 1..99 with SCHED_FIFO; 0: SCHED_OTHER."""
     cpu: tuple[int, ...] = ()
     load: str = "none"
     suspects: bool = False
-    """Record the late ticks and what ran then."""
+    """Whether to record the late ticks and what ran then."""
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How it looks so far."""
+    """Intermediate results of a run."""
 
     elapsed_s: float
     lateness: Percentiles
@@ -57,8 +58,8 @@ class Progress:
 
 
 class Timeline:
-    """Looks at the loop's histogram now and then. A histogram only grows, so the difference of two
-    looks holds every tick between them: nothing is sampled, only the time is coarse."""
+    """Collects windows of the loop's histogram. A histogram only grows, so the difference of two
+    looks contains every tick between them; only its time is coarse."""
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
@@ -76,7 +77,7 @@ class Timeline:
         return sum(window.overruns for window in self.windows)
 
     def look(self) -> None:
-        """Adds a window that ends now."""
+        """Add a window that ends now."""
         now_s = 1e-9 * (time.monotonic_ns() - self._start_ns)
         overruns = self._loop.status().overruns
         buckets = self._loop.buckets(HistogramKind.LATENESS)
@@ -88,14 +89,14 @@ class Timeline:
 
 
 def grown(before: list[Bucket], after: list[Bucket]) -> tuple[int, int]:
-    """(samples that came, upper edge of the highest bucket that they are in, ns)."""
+    """Return the number of new samples, and the upper edge in ns of their highest bucket."""
     counts = {bucket.low_ns: bucket.samples for bucket in before}
     new = [(b.high_ns, b.samples - counts.get(b.low_ns, 0)) for b in after]
     return sum(n for _, n in new), max((high_ns for high_ns, n in new if n), default=0)
 
 
 def spread_ns(p: Percentiles) -> Spread:
-    """Of the loop's own histogram."""
+    """Convert percentiles of the loop's histogram to a Spread in ns."""
     if p.samples == 0:
         return NOTHING
     return Spread(p.samples, p.p50_ns, p.p99_ns, p.p99_9_ns, p.max_ns)
@@ -106,10 +107,10 @@ def run_latency(
     progress: Callable[[Progress], None] = lambda _: None,
     warn: Callable[[str], None] = lambda _: None,
 ) -> LatencyReport:
-    """Measure in the foreground; SIGINT or SIGTERM ends it early with what there is by then.
+    """Measure in the foreground; SIGINT or SIGTERM ends it early, with the results until then.
 
-    `warn` gets a sentence for everything that the kernel refused, before the measurement. Raises
-    LatencyError, LoadError, ValueError for options out of range, RuntimeError when a loop runs in
+    `warn` gets a sentence for everything that the kernel refused, before the measurement. Raise
+    LatencyError, LoadError, ValueError for options out of range, RuntimeError if a loop runs in
     this process already.
     """
     return asyncio.run(measure(options, progress, warn))
@@ -118,7 +119,7 @@ def run_latency(
 async def measure(
     options: LatencyOptions, progress: Callable[[Progress], None], warn: Callable[[str], None]
 ) -> LatencyReport:
-    """`run_latency` in an event loop that runs already: this one is measured then."""
+    """Do the same as `run_latency` in an event loop that runs already, and measure this one."""
     if not (math.isfinite(options.seconds) and options.seconds > 0.0):
         raise ValueError(f"{options.seconds} s: a time greater than zero")
     settings = LoopSettings(
@@ -140,7 +141,7 @@ async def measure(
 
 
 class Run:
-    """One measurement."""
+    """Runs one measurement and makes its report."""
 
     def __init__(self, options: LatencyOptions, loop: Loop, rig: Rig, peer: OtherEnd) -> None:
         self.options, self.loop, self.rig, self.peer = options, loop, rig, peer
@@ -152,7 +153,7 @@ class Run:
         self.verdict: Verdict | None = None
 
     async def drive(self, progress: Callable[[Progress], None]) -> None:
-        """Arm, measure for the time that was asked for, stop the loop."""
+        """Arm, measure for the requested time, stop the loop."""
         options = self.options
         await self.rig.arm(1.0 / options.rate_hz)
         with asked_to_end() as end, self.watcher or contextlib.nullcontext():
@@ -200,7 +201,7 @@ class Run:
         return Progress(elapsed_s, lateness, self.timeline.overruns)
 
     async def _forget_start(self) -> None:
-        """The ticks before belong to no measurement; the loop clears them away at its next tick."""
+        """Let the loop clear the ticks before the measurement, and wait until it has done that."""
         self.timeline = Timeline(self.loop)
         if self.watcher is not None:
             self.watcher.begin()
@@ -213,7 +214,7 @@ class Run:
                 await asyncio.sleep(1.0 / self.options.rate_hz)
 
     def report(self, answers: Answers) -> LatencyReport:
-        """After the loop has stopped: nothing is added any more while it is read."""
+        """Make the report. Call it after the loop has stopped, so that the data do not change."""
         status, options = self.loop.status(), self.options
         lateness, step, command = (spread_ns(self.loop.percentiles(k)) for k in HistogramKind)
         age = self.rig.arrivals.age
@@ -254,7 +255,8 @@ class Run:
 
 @contextlib.contextmanager
 def asked_to_end() -> Iterator[asyncio.Event]:
-    """Set by SIGINT and SIGTERM; never outside the main thread, where signals do not come."""
+    """Yield an event that SIGINT and SIGTERM set. Outside the main thread, where signals do not
+    come, it is never set."""
     asked = asyncio.Event()
     if threading.current_thread() is not threading.main_thread():
         yield asked

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process that sends commands and stamps bytes (peer.py), and the port between."""
+"""Starts the process that sends commands and stamps bytes (peer.py), and makes the port to it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PRIORITY_BELOW_LOOP = 10
 
 
 class LatencyError(RuntimeError):
-    """It could not be measured; the message says why."""
+    """The measurement failed; the message contains the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,8 @@ class Answers:
 
 
 class OtherEnd:
-    """Commands come from it on `commands`; what they become is to be written to the pty."""
+    """The process at the other end. Its commands come on `commands`; write the resulting bytes to
+    the pty."""
 
     def __init__(self, process: Process, commands: socket.socket) -> None:
         self._process = process
@@ -46,11 +47,12 @@ class OtherEnd:
         self.commands.send(b"!")
 
     def end(self) -> None:
-        """No more commands."""
+        """Let the process end: it sends no more commands."""
         self.commands.shutdown(socket.SHUT_WR)
 
     async def result(self) -> Answers:
-        """After `end`. Raises LatencyError."""
+        """Return the results of the process. Call it after `end`. Raise LatencyError if the process
+        has failed."""
         async with within(DEADLINE_S):
             out, err = await self._process.communicate()
         if self._process.returncode != 0:
@@ -62,7 +64,8 @@ class OtherEnd:
 
 @contextlib.asynccontextmanager
 async def other_end(far_fd: int, loop_priority: int) -> AsyncIterator[OtherEnd]:
-    """Ready to begin; gone after the block, whatever happened. Raises LatencyError."""
+    """Run the other end in this block; it is ready when the block begins, and has ended after it,
+    whatever happened. Raise LatencyError if it does not start."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     priority = max(loop_priority - PRIORITY_BELOW_LOOP, 0)
     numbers = theirs.fileno(), far_fd, COMMAND_HZ, priority
@@ -80,7 +83,7 @@ async def other_end(far_fd: int, loop_priority: int) -> AsyncIterator[OtherEnd]:
 
 @contextlib.contextmanager
 def own_port() -> Iterator[tuple[int, int]]:
-    """(the other end's file descriptor, ours): a raw pty."""
+    """Open a raw pty; yield (the other end's file descriptor, ours)."""
     far_fd, near_fd = os.openpty()
     try:
         tty.setraw(near_fd)

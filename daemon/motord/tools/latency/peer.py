@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The other end of a measurement, a process of its own, run as a script: it sends commands and
-stamps the bytes that come back, with a clock and an interpreter that no load in the measured
-process can delay.
+"""The other end of a measurement. It runs as a script in its own process, so that no load in the
+measured process can delay it. It sends commands, and stamps the bytes that come back.
 
     peer.py SOCKET_FD PTY_FD COMMAND_HZ PRIORITY
 
-Commands are packets of COMMAND on a SOCK_SEQPACKET; `code` comes back as a byte on the pty when the
-command has been through asyncio, the loop and asyncio again. Sends one byte when it is ready,
-begins at the first packet that comes, ends at end of file and prints
+Commands are packets of COMMAND on a SOCK_SEQPACKET. The code of a command comes back as a byte on
+the pty when the command has passed asyncio, the loop and asyncio again. The script sends one byte
+when it is ready, begins at the first packet that comes, ends at end of file and prints
 {"sent": n, "samples": n, "max_ns": n, "counts": [[ns, n], ...]} on stdout.
 """
 
@@ -22,16 +21,16 @@ import sys
 import time
 
 COMMAND = struct.Struct("<qB")
-"""When it was given (CLOCK_MONOTONIC, ns), and its code."""
+"""A command: its stamp (CLOCK_MONOTONIC, ns) and its code."""
 CODES = 250
-"""Used in turn, from 1: at 100 commands a second an answer has 2.5 s before its code is used again.
-"""
+"""Number of codes, used in turn from 1 on. At 100 commands a second an answer may take 2.5 s before
+its code is used again."""
 
 
 class Tally:
-    """Nanoseconds, counted in 64 steps an octave: a run of a day takes no more memory than one of a
-    minute. A value is given as its step's upper end, at most 1.6 % too high; the maximum is exact.
-    """
+    """Counts times in 64 steps an octave, so that a run of a day needs no more memory than one of a
+    minute. Each value counts as the upper end of its step, which is at most 1.6 % too high; the
+    maximum is exact."""
 
     def __init__(self) -> None:
         self.samples = 0
@@ -55,7 +54,7 @@ class Peer:
         self.command_to_byte = Tally()
 
     def send(self) -> None:
-        """A full socket drops the command: the other side is too late for it."""
+        """Send a command. If the socket is full, drop it: the other side is too late for it."""
         code = self.sent % CODES + 1
         now_ns = time.monotonic_ns()
         self.sent += 1
@@ -73,7 +72,8 @@ class Peer:
                 self.command_to_byte.add(now_ns - given_ns)
 
     def run(self) -> None:
-        """Commands come at random moments, so that they meet every phase of the loop's period."""
+        """Send commands and take bytes until the socket ends. The commands come at random times, so
+        that they meet every phase of the loop's period."""
         when = random.Random()
         due_s = time.monotonic()
         while True:
@@ -89,8 +89,8 @@ class Peer:
 
 
 def raise_priority(priority: int) -> None:
-    """Below the loop, above any load: the peer's own lateness is no part of the result. Refused, it
-    runs as it is."""
+    """Set SCHED_FIFO below the loop but above any load, so that the peer's own lateness does not
+    change the result. If the system refuses it, change nothing."""
     if priority > 0:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))

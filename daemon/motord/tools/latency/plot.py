@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a run: how late how often, and when. Needs the `plot` extra."""
+"""The picture of a run: the lateness as a histogram and over time. It needs the extra `plot`."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 LOOP, CYCLICTEST, MARK, MUTED = "#1f5fa8", "#e07b00", "#c22f2f", "#555555"
 ONE_TICK = 0.7
-"""The foot of the histogram: a bucket with one tick still shows."""
+"""Lower end of the histogram's count axis, so that a bucket with one tick is visible."""
 LEGEND_ROOM = 2.5
 FLOOR_US = 1.0
-"""A logarithmic axis has no zero: what is earlier is drawn here."""
+"""Least lateness in the picture (a logarithmic axis has no zero). Lower values are drawn here."""
 
 
 class PlotMissing(RuntimeError):
@@ -29,13 +29,13 @@ class PlotMissing(RuntimeError):
 
 
 def require_matplotlib() -> None:
-    """Before the measurement, not after it. Raises PlotMissing."""
+    """Raise PlotMissing if matplotlib is not installed. Call it before the measurement."""
     if importlib.util.find_spec("matplotlib") is None:
         raise PlotMissing(f"a plot needs matplotlib: {how_to_install('plot')}")
 
 
 def plot(report: LatencyReport, path: Path) -> None:
-    """Writes a PNG. Raises PlotMissing, OSError."""
+    """Write the picture of a run as a PNG file. Raise PlotMissing or OSError."""
     require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -76,7 +76,7 @@ def draw_histogram(axes: Axes, report: LatencyReport) -> None:
 
 
 def plain_numbers(axis: Axis) -> None:
-    """10, 20, 50, 100 instead of powers."""
+    """Label an axis with 10, 20, 50, 100 instead of powers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=30))
@@ -85,8 +85,8 @@ def plain_numbers(axis: Axis) -> None:
 
 
 def coarse(histogram: Sequence[Bar]) -> list[Bar]:
-    """cyclictest's microseconds in buckets as wide as the loop's, 16 an octave, so that the heights
-    compare; below 16 µs its microseconds are wider than those."""
+    """Convert cyclictest's buckets of 1 µs to the width of the loop's (16 an octave), so that the
+    heights are comparable. Below 16 µs the buckets of 1 µs are wider than the loop's."""
     import numpy as np
 
     low_us = np.array([bar.low_us for bar in histogram], dtype=int)
@@ -100,7 +100,7 @@ def coarse(histogram: Sequence[Bar]) -> list[Bar]:
 
 
 def outline(axes: Axes, histogram: Sequence[Bar], colour: str, label: str) -> None:
-    """Buckets side by side; a gap between two of them is a gap in the picture."""
+    """Draw buckets side by side. A gap between two buckets is a gap in the picture."""
     import numpy as np
 
     if not histogram:

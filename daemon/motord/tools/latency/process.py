@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A helper process that does not outlive the measurement."""
+"""Runs a helper process that ends with the measurement."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ END_DEADLINE_S = 10.0
 
 @contextlib.asynccontextmanager
 async def running(command: Sequence[str], pass_fds: Sequence[int] = ()) -> AsyncIterator[Process]:
-    """stdout and stderr are pipes. In a session of its own, because a Ctrl-C is the measurement's,
-    which then ends the process; it is killed at the end of the block if it still runs."""
+    """Run a process in this block, with pipes for stdout and stderr; kill it at the end if it still
+    runs. It has its own session, so that Ctrl-C goes only to the measurement, which ends it."""
     process = await asyncio.create_subprocess_exec(
         *command,
         stdin=DEVNULL,

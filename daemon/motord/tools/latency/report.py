@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `motord latency` found out, as numbers: spreads, the latency class, JSON. Pure."""
+"""The results of `motord latency` as numbers: spreads, the latency class, JSON. Pure."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ DECIMALS = 3
 
 
 def rank(fraction: float, samples: int) -> int:
-    """Nearest rank, from 0: the smallest value that `fraction` of all samples do not exceed."""
+    """Return the nearest rank, from 0, of a percentile: the rank of the smallest value that the
+    part `fraction` of all samples does not exceed."""
     return max(math.ceil(fraction * samples), 1) - 1
 
 
 def value_at(counts: Mapping[int, int], wanted: int, beyond: float) -> float:
-    """The value at a rank from 0; `beyond` where the counts end before it."""
+    """Return the value at a rank, from 0, in value → count; `beyond` if there are fewer counts."""
     seen = 0
     for value, count in sorted(counts.items()):
         seen += count
@@ -33,13 +34,13 @@ def value_at(counts: Mapping[int, int], wanted: int, beyond: float) -> float:
 
 
 def number(value: float) -> float | None:
-    """For JSON: NaN, that is nothing measured, is null."""
+    """Round a number for JSON; return None for NaN or infinity (nothing measured, no limit)."""
     return round(value, DECIMALS) if math.isfinite(value) else None
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Percentiles of one figure, in the unit that its key says. NaN where there is no sample."""
+    """Percentiles of one figure, in the unit of its key in the report; NaN without a sample."""
 
     samples: int
     p50: float
@@ -49,8 +50,8 @@ class Spread:
 
     @classmethod
     def of_counts(cls, counts: Mapping[int, int], samples: int, maximum: float) -> Spread:
-        """From how often each value was seen. `samples` may be more than were counted: the rest is
-        beyond, up to `maximum`. No percentile is above it."""
+        """Make it from value → count. `samples` may exceed the sum of the counts: the other samples
+        are greater than all these values, up to `maximum`. No percentile is above `maximum`."""
         if samples == 0:
             return NOTHING
         p50, p99, p99_9 = (
@@ -60,7 +61,7 @@ class Spread:
         return cls(samples, p50, p99, p99_9, maximum)
 
     def scaled(self, factor: float) -> Spread:
-        """In another unit."""
+        """Return the spread with all figures multiplied by a factor, to change the unit."""
         figures = (getattr(self, name) * factor for name in FIGURES)
         return Spread(self.samples, *figures)
 
@@ -82,13 +83,13 @@ class Bar:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """All ticks between two looks at the loop's histogram, none left out."""
+    """All ticks between two looks at the loop's histogram."""
 
     start_s: float
     end_s: float
     ticks: int
     lateness_max_us: float
-    """Upper edge of the highest bucket that grew: at most 6.25 % above the true maximum."""
+    """Upper edge of the highest bucket that grew; it is at most 6.25 % above the true maximum."""
     overruns: int
 
 
@@ -106,7 +107,7 @@ class LatencyClass:
         return f"{self.name} ({bound})"
 
 
-# Limits: LinuxCNC, docs/src/install/latency-test.adoc, which judges the worst jitter of a run.
+# Source of the limits: LinuxCNC, docs/src/install/latency-test.adoc, for the worst jitter of a run.
 CLASSES = (
     LatencyClass("good", 20.0, "even steps made in software keep their time"),
     LatencyClass("usable", 50.0, "loops of several kHz keep their time; software steps run slower"),
@@ -125,18 +126,18 @@ CLASSES = (
 
 
 def latency_class(lateness_max_us: float) -> LatencyClass:
-    """LinuxCNC's class of a machine whose worst tick was so late; a border belongs to the better.
-    NaN is the worst class."""
+    """Return LinuxCNC's class of a machine by the lateness of its worst tick. A value on a limit
+    belongs to the better class; NaN gives the worst class."""
     return next((c for c in CLASSES if lateness_max_us <= c.limit_us), CLASSES[-1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatencyReport:
-    """One run."""
+    """The results of one run."""
 
     rate_hz: float
     seconds: float
-    """Measured, not asked for."""
+    """Measured duration, which may differ from the requested one."""
     ended_early: bool
     policy: str
     priority: int
@@ -148,30 +149,30 @@ class LatencyReport:
     lateness_us: Spread
     step_ns: Spread
     handover_us: dict[str, Spread]
-    """`command_to_core`, `core_to_asyncio`, `command_to_byte`."""
+    """Keys: `command_to_core`, `core_to_asyncio`, `command_to_byte`."""
     commands_sent: int
     cyclictest_us: Spread | None
     cyclictest_note: str
-    """The command that ran, or why there is no result."""
+    """The command line of cyclictest, or the reason why there is no result."""
     refusals: dict[str, str]
-    """What the kernel refused: sentence by subject."""
+    """What the kernel refused: subject → sentence."""
     machine: dict[str, Any]
     steal_percent: float
-    """Processor time that a hypervisor gave to others meanwhile."""
+    """Part of the processor time that a hypervisor gave to other machines during the run."""
     histogram: Sequence[Bar] = field(repr=False, default=())
     cyclictest_histogram: Sequence[Bar] = field(repr=False, default=())
     timeline: Sequence[Window] = field(repr=False, default=())
     verdict: Verdict | None = None
-    """What made ticks late; None: it was not looked for."""
+    """What made ticks late; None: the run did not search for it."""
     trials: Sequence[Trial] = ()
-    """The same again with one suspect switched off."""
+    """Repetitions of the measurement, each with one thing changed; the first is the original."""
 
     @property
     def latency_class(self) -> LatencyClass:
         return latency_class(self.lateness_us.max)
 
     def to_json(self) -> dict[str, Any]:
-        """The keys of `motord latency --json`."""
+        """Return the JSON object of `motord latency --json`."""
         searched = {}
         if self.verdict is not None:
             searched = self.verdict.to_json() | {"trials": [one.to_json() for one in self.trials]}

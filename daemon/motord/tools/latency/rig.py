@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured: the real loop with the real core, and asyncio between a command and a byte.
+"""The parts that are measured: the real loop with the real core, and asyncio between a command and
+a byte.
 
     other end ── command ──▶ asyncio ──▶ loop ──▶ asyncio ── byte ──▶ other end
     (a process)  (socket)         (mailbox)  (eventfd)        (pty)
 
-No motor hangs on it: the drives are feedback that this file makes up, the port is a pty of its own.
+There is no motor: this file makes the feedback of the drives, and the port is its own pty.
 """
 
 from __future__ import annotations
@@ -26,12 +27,13 @@ from motord_hal.realtime.exchange import Exchange, Setpoints
 LINE = 0
 WHEEL_RADIUS_M = 0.1
 CODE_M_S = 0.01
-"""A command with code n requests n times this; the code is read back from the wheel's set-point."""
+"""Speed for each step of the code: a command with code n requests n times this. The code is
+computed back from the wheel's set-point."""
 NO_LIMIT = 1e6
 LEASE_S = 60.0
 PATIENCE_S = 60.0
-"""No motor waits for a command, feedback or heartbeat here: a starved asyncio is measured, not
-stopped."""
+"""Time-out of commands, feedback and heartbeats. It is long because no motor can move: a late
+asyncio is measured, not stopped."""
 ARM_DEADLINE_S = 20.0
 
 LIMITS: BaseLimits = {
@@ -54,7 +56,7 @@ LIMITS: BaseLimits = {
         "jerk_u_s3": math.inf,
     },
 }
-"""Wide enough for the first tick with a command to reach it."""
+"""Limits so wide that the first tick with a command reaches its speed."""
 
 
 def wheel(side: float) -> JointConfig:
@@ -77,7 +79,7 @@ def wheel(side: float) -> JointConfig:
 
 
 def core_config() -> CoreConfig:
-    """Two wheels, and limits that are not felt."""
+    """Return a configuration with two wheels, and with limits that have no effect."""
     return {
         "joint_count": 2,
         "limits": LIMITS,
@@ -99,19 +101,19 @@ def core_config() -> CoreConfig:
 
 
 def code_of(setpoints: Setpoints) -> int:
-    """The command's code that these set-points carry; 0: none, not enabled or at rest."""
+    """Return the code of the command behind these set-points; 0: they are zero or not enabled."""
     if not setpoints.enabled:
         return 0
     return round(setpoints.joints[0].velocity_rad_s * WHEEL_RADIUS_M / CODE_M_S)
 
 
 class Arrivals:
-    """How old each notified tick was when asyncio came to it: the loop wakes asyncio at ticks that
-    `every_ticks` divides.
+    """Measures the age of each notified tick when asyncio takes it. The loop wakes asyncio at ticks
+    whose numbers are multiples of `every_ticks`.
 
-    A mailbox holds the newest tick only. Ticks that asyncio has slept through are therefore stamped
-    by interpolation between the two that it saw; they count as well, or a stall of 40 ticks would
-    look like one late wake-up.
+    A mailbox has only the newest tick. Ticks that asyncio has missed get a stamp by interpolation
+    between the two around them. They count, too: without them a stall of 40 ticks would look like
+    one late wake-up.
     """
 
     def __init__(self, every_ticks: int) -> None:
@@ -131,7 +133,8 @@ class Arrivals:
 
 
 class Rig:
-    """asyncio's side, while the loop runs. All methods in the event loop's thread."""
+    """The part of the measurement in asyncio, while the loop runs. Call all methods in the event
+    loop's thread."""
 
     def __init__(self, loop: Loop, commands: socket.socket, port_fd: int, every_ticks: int) -> None:
         self._loop, self._commands, self._port_fd = loop, commands, port_fd
@@ -142,7 +145,7 @@ class Rig:
 
     @contextlib.contextmanager
     def listening(self) -> Iterator[None]:
-        """Reads the loop's notifications and the other end's commands."""
+        """Take the loop's notifications and the other end's commands in this block."""
         reactor = asyncio.get_running_loop()
         reactor.add_reader(self._loop.fileno(), self._on_tick)
         reactor.add_reader(self._commands, self._on_command)
@@ -159,12 +162,13 @@ class Rig:
         code = code_of(setpoints)
         if code not in (0, self._answered):
             self._answered = code
-            # A port that is full belongs to an other end that reads no more: its answer is lost.
+            # If the port is full, the other end does not read any more, and the answer is lost.
             with contextlib.suppress(BlockingIOError):
                 os.write(self._port_fd, bytes((code,)))
 
     def _on_command(self) -> None:
-        """As the daemon would: the newest wins, each with the time at which it was given."""
+        """Pass all commands that have come to the loop with their own stamps, as the daemon
+        does. The newest counts."""
         with contextlib.suppress(BlockingIOError):
             while packet := self._commands.recv(COMMAND.size):
                 stamp_ns, code = COMMAND.unpack(packet)
@@ -172,7 +176,7 @@ class Rig:
             asyncio.get_running_loop().remove_reader(self._commands)
 
     def stay_alive(self) -> None:
-        """Feedback of drives that stand still and are well, and a heartbeat."""
+        """Send a heartbeat, and feedback of drives that stand still and have no fault."""
         for joint in range(2):
             self._exchange.put_feedback(
                 joint, stamp_ns=time.monotonic_ns(), count=0, epoch=1, enabled=True, drive_faults=0
@@ -180,8 +184,8 @@ class Rig:
         self._loop.beat()
 
     async def arm(self, period_s: float) -> None:
-        """The core arms on an edge that it sees, so it is given again until it was. Raises
-        LatencyError."""
+        """Arm the core. It arms at a change of `armed` that it sees, so the change is repeated
+        until it is armed. Raise LatencyError if that takes too long."""
         with contextlib.suppress(TimeoutError):
             async with within(ARM_DEADLINE_S):
                 while not self._loop.read_state().armed:

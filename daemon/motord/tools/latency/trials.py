@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Suspects switched one at a time: the same measurement again, each time with one thing changed."""
+"""Tests suspects: repeats the same measurement, each time with one thing changed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ HIGHEST_PRIORITY = 99
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One measurement with one thing changed; per second, so that it compares with the first."""
+    """One measurement with one thing changed. Its figures are per second, to be comparable with the
+    first, which may be longer."""
 
     name: str
     late_per_s: float
@@ -53,9 +54,9 @@ def search(
     pause: bool,
     now: Callable[[str], None] = lambda _: None,
 ) -> LatencyReport:
-    """Measure, then once more for each suspect that can be switched. `pause`: also stop the
-    programs that are named, one at a time, and let them go on. `now` gets the name of each trial.
-    Raises as run_latency."""
+    """Measure, then repeat it with each change that may remove the lateness. `pause`: also pause
+    the suspected programs, one at a time. `now` gets the name of each trial. Errors as in
+    `run_latency`."""
     with load(options.load, options.cpu):
         plain = replace(options, load="none", suspects=True)
         report = run_latency(plain, progress, warn)
@@ -102,7 +103,7 @@ def may_be_paused(process: int) -> bool:
     try:
         words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
     except OSError:
-        return False  # it has ended
+        return False  # the process has ended
     if not any(words):
         return False
     return process not in protected and not any(
@@ -119,7 +120,7 @@ def _parent(process: int) -> int:
 
 @contextlib.contextmanager
 def paused(process: int) -> Iterator[None]:
-    """Stopped by a signal in the block; it goes on after it, whatever happened."""
+    """Pause a process by a signal during this block; it goes on after it, whatever happened."""
     with contextlib.suppress(ProcessLookupError):
         os.kill(process, signal.SIGSTOP)
     try:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A gamepad at this machine, as [input.*] of kind "joystick" understands it: it commands while its
-dead-man button is held."""
+"""A gamepad at this machine, with the settings of an [input.*] of kind "joystick". It commands
+while its dead-man button is held."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from motord.config import JoystickInput
 
 
 class EvdevGamepad:
-    """One device, from its opening until it is unplugged."""
+    """Implements Gamepad for one device, from its opening until it is unplugged."""
 
     def __init__(self, section: JoystickInput) -> None:
-        """Raises OSError, and ValueError for an axis that it lacks."""
+        """Open the device. Raise OSError, or ValueError for an axis that it does not have."""
         self._codes = codes_of(section)
         self._device = find_device(section.device)
         try:
@@ -25,11 +25,11 @@ class EvdevGamepad:
             raise
 
     def twist(self) -> tuple[float, ...] | None:
-        """As Gamepad.twist."""
+        """Implement `Gamepad.twist`."""
         return self._stick.twist() if self._stick.held else None
 
     async def run(self, estop: Callable[[], None]) -> None:
-        """As Gamepad.run."""
+        """Implement `Gamepad.run`."""
         with closing(self._device):
             try:
                 async for event in self._device.async_read_loop():

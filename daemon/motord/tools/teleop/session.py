@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Driving by hand: keys and a gamepad become commands under a lease; whatever ends it, the robot
-comes to rest first."""
+"""A session of driving by hand: it turns keys and a gamepad into commands under a lease. Whatever
+ends the session, the robot comes to rest first."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ SEND_PERIOD_S = 0.05
 PING_PERIOD_S = 0.05
 LOOK_PERIOD_S = 0.2
 GAP_S = 0.3
-"""A program that stood still for this long drops the keys that have come meanwhile."""
+"""If this program stood still for longer than this, it drops the keys that have come meanwhile."""
 REST_WITHIN_S = 10.0
 ANSWERS_WITHIN_S = 0.3
-"""For the terminal's answers that are still to come: they would end up in the shell."""
+"""Time to wait at the end for answers of the terminal, which would otherwise go to the shell."""
 STEP = 0.1
-"""Of the full speed, for one press of + or -."""
+"""Part of the full speed that one press of + or - adds or subtracts."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 KEYS = """\
@@ -39,23 +39,24 @@ Hold a key to move; release it to stop. Any other key stops, too."""
 
 
 class Gamepad(Protocol):
-    """What a session needs of a gamepad."""
+    """The interface of a gamepad that a session uses."""
 
     def twist(self) -> tuple[float, ...] | None:
-        """m/s, rad/s and m/s to the left, or None while its dead-man button is released."""
+        """Return m/s, rad/s and m/s to the left; None while the dead-man button is released."""
 
     async def run(self, estop: Callable[[], None]) -> None:
-        """Until it is unplugged: OSError. `estop` is called for its e-stop button."""
+        """Run until the gamepad is unplugged; then raise OSError. Call `estop` when its e-stop
+        button is pressed."""
 
 
 @dataclass(slots=True)
 class Speeds:
-    """Full speed of a key, and the part of it that is in force."""
+    """The full speeds of the keys, and the part of them that is in force."""
 
     linear_m_s: float
     angular_rad_s: float
     lateral_m_s: float = 0.0
-    """0: the base does not move sideways."""
+    """Full speed to the left or right; 0: the base cannot move sideways."""
     part: float = 0.3
 
     def step(self, up: bool) -> None:
@@ -75,7 +76,8 @@ class Teleop:
         dead_man: DeadMan,
         gamepad: Gamepad | None = None,
     ) -> None:
-        """`robot` commands. `watcher` is another connection, so that looking delays no command."""
+        """`robot` sends the commands. `watcher` is another connection to the daemon, so that
+        reading the status delays no command."""
         self._robot, self._watcher, self._terminal = robot, watcher, terminal
         self._speeds, self._dead_man, self._gamepad = speeds, dead_man, gamepad
         self._loop = asyncio.get_running_loop()
@@ -88,8 +90,8 @@ class Teleop:
         self._tasks: asyncio.TaskGroup
 
     async def run(self) -> str:
-        """Until a key, a signal, the terminal or the daemon ends it. Returns why; empty: by its
-        key."""
+        """Run until a key, a signal, the terminal or the daemon ends the session. Return the
+        reason; empty: the user's key."""
         for number in SIGNALS:
             self._loop.add_signal_handler(number, self._end, f"ended by {number.name}")
         try:
@@ -123,7 +125,7 @@ class Teleop:
 
     # ---------------------------------------------------------------------------------------- keys
     def _read(self) -> None:
-        """All that has come: of motion keys only the newest counts."""
+        """Read all keys that have come. Of the motion keys only the newest counts."""
         try:
             data = self._terminal.read()
         except EOFError:
@@ -136,7 +138,7 @@ class Teleop:
                 self._link.answered(now_s)
             elif key in MOTIONS:
                 motions.append(key)
-            elif not (key.startswith("\x1b[") and key.endswith("n")):  # a report, of any kind
+            elif not (key.startswith("\x1b[") and key.endswith("n")):  # not a report
                 motions.clear()
                 self._dead_man.let_go()
                 self._press(key)
@@ -144,7 +146,7 @@ class Teleop:
             self._dead_man.take(motions, now_s, self._link.key_age_s(now_s))
 
     def _drop_keys(self) -> None:
-        """Of keys that came while this program stood still, an emergency stop and the end count."""
+        """Drop the keys that came while this program stood still, except emergency stop and end."""
         self._dead_man.bar(self._loop.time())
         with contextlib.suppress(EOFError):  # the next look ends the session
             for key in self._decoder.feed(self._terminal.read()):
@@ -154,7 +156,7 @@ class Teleop:
                     self._press(key)
 
     def _press(self, key: str) -> None:
-        """A key that is no motion."""
+        """Handle a key that is not a motion."""
         robot = self._robot
         if key == " ":
             self._estop()
@@ -187,7 +189,8 @@ class Teleop:
 
     # ------------------------------------------------------------------------------------ commands
     def _twist(self) -> tuple[float, ...] | None:
-        """Linear, angular and lateral. None: nothing is held."""
+        """Return the requested linear, angular and lateral speed; None: no key and no dead-man
+        button is held."""
         if self._gamepad is not None and (twist := self._gamepad.twist()) is not None:
             return twist
         motion = self._dead_man.motion(self._loop.time())
@@ -201,7 +204,8 @@ class Teleop:
         )
 
     async def _command(self) -> None:
-        """As long as a key is held; one zero when it is released, and the lease is given back."""
+        """Send commands as long as a key is held. When it is released, send zero once and release
+        the lease."""
         commanding, last_s, refused = False, self._loop.time(), ""
         while True:
             if self._loop.time() - last_s > GAP_S:
@@ -226,7 +230,7 @@ class Teleop:
             await asyncio.sleep(SEND_PERIOD_S)
 
     async def _come_to_rest(self) -> None:
-        """The robot's own ramp; the drives are powered off if they were powered from here."""
+        """Bring the robot to rest by its own ramp; disarm the drives if this session armed them."""
         with contextlib.suppress(ClientError):  # the daemon is gone: its drives stop by themselves
             await self._robot.drive(0.0, 0.0, owner=OWNER)
             await self._robot.release(OWNER)
@@ -240,7 +244,7 @@ class Teleop:
                 await asyncio.sleep(SEND_PERIOD_S)
 
     def _rests(self, found: Status) -> bool:
-        """At rest, or another source drives it."""
+        """Whether the robot is at rest, or another source has a lease."""
         return found.at_rest or any(lease.owner != OWNER for lease in found.leases)
 
     # ------------------------------------------------------------------------------------- display
@@ -273,7 +277,7 @@ class Teleop:
         return text if trip_s is None else f"{text}  link {1000 * trip_s:.0f} ms"
 
     async def _ping(self) -> None:
-        """The terminal's answers show how old a key can be."""
+        """Send pings to the terminal, whose answers show how old a key can be."""
         while True:
             now_s = self._loop.time()
             if self._link.answers(now_s) is False:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A terminal that gives each key at once and never blocks; as it was before when it is closed."""
+"""A terminal that passes on each key at once and never blocks. When it is closed, its settings are
+as before."""
 
 from __future__ import annotations
 
@@ -17,11 +18,11 @@ class NoTerminal(Exception):
 
 
 class Terminal:
-    """The controlling terminal. Its file is our own: that it never blocks does not concern other
-    programs that have the terminal open."""
+    """The controlling terminal. It is opened a second time, so that non-blocking access does not
+    change other programs that have the terminal open."""
 
     def __init__(self, path: str = "/dev/tty") -> None:
-        """Raises NoTerminal."""
+        """Open the terminal. Raise NoTerminal if this program has none."""
         try:
             self.fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError as error:
@@ -30,7 +31,7 @@ class Terminal:
         self._before = termios.tcgetattr(self.fd)
 
     def __enter__(self) -> Self:
-        """No echo, no lines, no signals by keys, no Ctrl-S."""
+        """Switch off echo, line mode, signals by keys and Ctrl-S."""
         mode = termios.tcgetattr(self.fd)
         mode[0] &= ~(termios.IXON | termios.ICRNL)
         mode[3] &= ~(termios.ICANON | termios.ECHO | termios.ISIG | termios.IEXTEN)
@@ -42,13 +43,13 @@ class Terminal:
         self, kind: type[BaseException] | None, error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:  # fmt: skip
-        with contextlib.suppress(OSError, termios.error):  # it may be closed
-            termios.tcflush(self.fd, termios.TCIFLUSH)  # no key for the shell
+        with contextlib.suppress(OSError, termios.error):  # the terminal may be closed
+            termios.tcflush(self.fd, termios.TCIFLUSH)  # drop keys, which the shell would get
             termios.tcsetattr(self.fd, termios.TCSANOW, self._before)
         os.close(self.fd)
 
     def read(self) -> bytes:
-        """What has come; empty: nothing. Raises EOFError: the terminal is gone."""
+        """Return the bytes that have come; empty: none. Raise EOFError if the terminal is gone."""
         try:
             data = os.read(self.fd, READ_BYTES_MAX)
         except BlockingIOError:
@@ -60,7 +61,7 @@ class Terminal:
         return data
 
     def write(self, data: bytes) -> bool:
-        """Whether all of it was taken. A terminal that takes nothing is not waited for."""
+        """Write without waiting. Return whether the terminal took all of the data."""
         try:
             return os.write(self.fd, data) == len(data)
         except OSError:
@@ -68,15 +69,15 @@ class Terminal:
 
     @property
     def columns(self) -> int:
-        """Its width; 80 where it has none."""
+        """Width of the terminal in characters; 80 if it is not known."""
         with contextlib.suppress(OSError):
             return os.get_terminal_size(self.fd).columns or 80
         return 80
 
     def line(self, text: str) -> None:
-        """One line, written over the one before."""
+        """Show a text in place of the last line."""
         self.write(b"\r\x1b[K" + text[: self.columns - 1].encode())
 
     def message(self, text: str) -> None:
-        """A line that stays."""
+        """Show a text in a line that is not overwritten."""
         self.write(b"\r\x1b[K" + text.encode() + b"\r\n")

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord trace`: what goes over a line, decoded by the profiles, and as files for other tools."""
+"""`motord trace`: the bytes on a line, decoded by the profiles, and as files for other tools."""

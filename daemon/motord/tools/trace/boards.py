@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Words for what boards, motor drivers, bus servos and hub motors are sent and send, by the codecs
-that the lines and the simulator use. A stream comes in pieces: each decoder keeps what is not
-whole."""
+"""Describes in words the bytes to and from boards, motor drivers, bus servos and hub motors, with
+the codecs of the lines and the simulator. A stream comes in pieces: each decoder keeps the bytes of
+an incomplete frame."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ BoardDecoder: TypeAlias = Callable[[Exchange], Words]
 
 
 def board_decoder(kind: str, robot: Robot, line: str) -> BoardDecoder | None:
-    """For a line of this kind; None: it is Modbus, CAN, or not decoded."""
+    """Return the decoder for a line of this kind; None: the line is Modbus or CAN, or there is no
+    decoder for its kind."""
     spec = next((one for one in line_specs(robot, robot.profiles) if one.name == line), None)
     makers: dict[str, Callable[[LineSpec], BoardDecoder]] = {
         "mcu": _Frames, "ascii": _Texts, "roboclaw": _roboclaw_of, "ddsm": _ddsm_of,
@@ -38,7 +39,7 @@ def board_decoder(kind: str, robot: Robot, line: str) -> BoardDecoder | None:
 
 
 def _end(exchange: Exchange, problems: Sequence[str], shown: Sequence[str]) -> str:
-    """The result of what is not answered one by one."""
+    """Return the result of an exchange in a protocol that has no reply for each request."""
     if problems:
         return problems[0]
     if not exchange.outward:
@@ -51,12 +52,12 @@ def _values(registers: Sequence[Register], pick: Callable[[Register], int]) -> I
         try:
             yield f"{register.name} {register.to_si(pick(register)):g}"
         except ValueError:
-            continue  # the frame is shorter than that
+            continue  # the frame is too short for this register
 
 
 # ---------------------------------------------------------------------- frames of docs/mcu-frame.md
 class _Frames:
-    """Set-points and feedback of a board."""
+    """Decodes set-points and feedback of a board."""
 
     def __init__(self, spec: LineSpec) -> None:
         self._joints = ",".join(joint.name for joint in spec.joints)
@@ -84,7 +85,7 @@ class _Frames:
 
 # ------------------------------------------------------------------------------------ lines of text
 class _Texts:
-    """By the templates of the robot file."""
+    """Decodes lines of text by the templates of the robot file."""
 
     def __init__(self, spec: LineSpec) -> None:
         self._joints = ",".join(joint.name for joint in spec.joints)
@@ -135,7 +136,7 @@ def _roboclaw_of(spec: LineSpec) -> BoardDecoder:
 
 # ------------------------------------------------- hoverboard packets, Sabertooth packet serial
 class _Hoverboard:
-    """Commands, as the firmware mixes them, and feedback of a main board."""
+    """Decodes commands to a hoverboard's main board, as its firmware mixes them, and feedback."""
 
     def __init__(self, spec: LineSpec) -> None:
         self._joints = ",".join(joint.name for joint in spec.joints)
@@ -161,7 +162,7 @@ class _Hoverboard:
 
 
 class _Sabertooth:
-    """Packets to the drivers on one wire, each at its address; they send nothing."""
+    """Decodes packets to the drivers on one wire, each with its address. Drivers send nothing."""
 
     def __init__(self, spec: LineSpec) -> None:
         self._drivers = {
@@ -192,7 +193,7 @@ class _Sabertooth:
 
 
 def _by_name(profile: DriveProfile, raw: Mapping[str, int]) -> str:
-    """SI values of registers, by their names."""
+    """Return the names of the registers with their SI values."""
     return ", ".join(f"{name} {profile.registers[name].to_si(n):g}" for name, n in raw.items())
 
 
@@ -228,7 +229,7 @@ _READS_OF_ALL = (servo.Instruction.SYNC_READ, servo.Instruction.FAST_SYNC_READ)
 
 
 class _Servos:
-    """Feetech and Dynamixel packets; a status is decoded by the request before it."""
+    """Decodes Feetech and Dynamixel packets; a status is decoded with the request before it."""
 
     def __init__(self, spec: LineSpec) -> None:
         self._packets = servo.packets_of(spec.kind)
@@ -279,12 +280,13 @@ class _Servos:
         return self._joints[unit][0] if unit in self._joints else f"unit {unit}"
 
     def _number(self, data: bytes, at: int) -> int:
-        """The at-th address or count of the parameters."""
+        """Return number `at` (from 0) of the addresses and counts in a packet's parameters."""
         begin = at * self._number_bytes
         return int.from_bytes(data[begin : begin + self._number_bytes], "little")
 
     def _request(self, packet: servo.Packet) -> tuple[str, int, int]:
-        """Words, and the address and number of bytes that are to be read; 0: nothing."""
+        """Return the description of a request, and the address and number of bytes that it reads;
+        number 0: it reads nothing."""
         data, width = packet.parameters, self._number_bytes
         first = self._number(data, 0)
         if packet.code in (servo.Instruction.READ, *_READS_OF_ALL):
@@ -314,12 +316,12 @@ class _Servos:
         return f"{self._name(status.unit)}: {_servo_values(profile, first, status.parameters)}"
 
     def _statuses(self, exchange: Exchange) -> Iterator[servo.Packet | None]:
-        data = exchange.received.removeprefix(exchange.sent)  # an adapter's echo
+        data = exchange.received.removeprefix(exchange.sent)  # without an adapter's echo
         return servo.take_all(self._packets, data, status=True)
 
 
 def _servo_values(profile: DriveProfile, first: int, data: bytes) -> str:
-    """Of the registers that lie in these bytes."""
+    """Return names and SI values of the registers in these bytes; `first` is the first address."""
     registers = [
         one
         for one in profile.registers.values()
@@ -330,7 +332,8 @@ def _servo_values(profile: DriveProfile, first: int, data: bytes) -> str:
 
 # ------------------------------------------------------------------------------- registers of words
 def registers_words(profile: DriveProfile | None, start: int, values: Sequence[int]) -> str:
-    """Names and SI values of the registers that lie in these words; other words as they are."""
+    """Return names and SI values of the registers in these words, then the other words in hex.
+    `start` is the first address."""
     shown, known = [], set[int]()
     registers: Sequence[Register] = list(profile.registers.values()) if profile else ()
     for register in registers:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From exchanges to words, by the profiles of the drives on a line."""
+"""Describes exchanges in words, with the profiles of the drives on a line."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from motord_hal.modbus.codec import (
 
 MODBUS = ("modbus-rtu", "modbus-tcp", "rtu-over-tcp")
 _MBAP_BYTES = 7
-"""Modbus Messaging on TCP/IP V1.0b, 3.1.3: transaction, protocol, length, unit."""
+"""Length of the header of Modbus TCP: transaction, protocol, length, unit (Modbus Messaging on
+TCP/IP V1.0b, 3.1.3)."""
 
 
 class Decoder:
-    """By the profiles of the drives on one line."""
+    """Decodes the exchanges of one line with the profiles of its drives."""
 
     def __init__(self, kind: str, robot: Robot, line: str) -> None:
         self._kind = kind
@@ -39,7 +40,7 @@ class Decoder:
         ]
 
     def words(self, exchange: Exchange) -> Words:
-        """What it was."""
+        """Return the description of an exchange."""
         if self._kind == "can":
             return self._can(exchange)
         if self._kind in MODBUS:
@@ -96,7 +97,8 @@ class Decoder:
 
 
 def rtu_frame(kind: str, frame: bytes) -> bytes:
-    """As on a serial line: a frame of Modbus TCP without its header, and with a check sum."""
+    """Return a frame in the form of a serial line. A frame of Modbus TCP loses its header and gets
+    a check sum; other frames do not change."""
     if kind != "modbus-tcp" or len(frame) <= _MBAP_BYTES:
         return frame
     return seal(frame[_MBAP_BYTES - 1 :])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From what a line has sent and received to exchanges. Pure."""
+"""Joins the trace entries of a line (bytes sent or received) to exchanges. Pure."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from motord_hal.can.socket_frames import unpacked
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Exchange:
-    """What was sent, and what came until the next was sent; on CAN one frame."""
+    """The bytes that were sent, and those that came until the next were sent; on CAN one frame."""
 
     stamp_ns: int
-    """Of what was sent, or of a frame that came."""
+    """Time of sending; of a frame that came without a request, time of its arrival."""
     sent: bytes = b""
     received: bytes = b""
     reply_ns: int | None = None
-    """When its last part came."""
+    """Time at which the last received part came; None: nothing came."""
 
     @property
     def outward(self) -> bool:
@@ -29,14 +29,14 @@ class Exchange:
 
 
 class Joiner:
-    """Entries to exchanges. On a serial line a reply comes in pieces."""
+    """Joins trace entries to exchanges. On a serial line a reply comes in pieces."""
 
     def __init__(self, kind: str) -> None:
         self._one_by_one = kind == "can"
         self._open: Exchange | None = None
 
     def feed(self, entries: Sequence[Mapping[str, Any]]) -> Iterator[Exchange]:
-        """Those that are complete."""
+        """Take entries; yield the exchanges that are complete."""
         for entry in entries:
             data, stamp_ns = bytes.fromhex(entry["data"]), int(entry["stamp_ns"])
             if entry["outward"]:
@@ -54,7 +54,7 @@ class Joiner:
                 yield from self.end()
 
     def end(self) -> Iterator[Exchange]:
-        """What is still open."""
+        """Yield the exchange that is still open, if there is one."""
         if self._open is not None:
             found, self._open = self._open, None
             yield found
@@ -62,16 +62,16 @@ class Joiner:
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """An exchange for a person: which drive, what, and how it ended."""
+    """The description of an exchange for a person: drive, content and result."""
 
     joint: str
     what: str
     result: str
-    """ok, no reply, exception ..., bad CRC ...; of a frame on CAN: out or in."""
+    """"ok", "no reply", "exception ...", "bad CRC" and others; for a frame on CAN "out" or "in"."""
 
 
 def can_message(exchange: Exchange, time_s: float, channel: str) -> can.Message:
-    """For writers of python-can."""
+    """Convert an exchange on CAN to a message for the writers of python-can."""
     message = unpacked(exchange.sent or exchange.received, time_s)
     message.channel, message.is_rx = channel, not exchange.outward
     return message

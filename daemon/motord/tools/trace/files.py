@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files for other tools: pcap (Wireshark), candump (can-utils), MCAP (Foxglove).
+"""Writes traces to files for other tools: pcap (Wireshark), candump (can-utils), MCAP (Foxglove).
 
 Sources: libpcap, pcap-savefile(5); Wireshark, epan/exported_pdu.h (LINKTYPE_WIRESHARK_UPPER_PDU).
 """
@@ -24,18 +24,19 @@ _UPPER_PDU = 252
 _DISSECTOR, _PORT_TYPE, _SOURCE_PORT, _TARGET_PORT, _END = 12, 24, 25, 26, 0
 _UDP = 3
 _PORT, _OURS = 502, 50000
-"""Wireshark takes what goes to port 502 for a request, and what comes from it for a reply."""
+"""UDP ports in the packets. Wireshark takes a packet to port 502 for a request, and one from it for
+a reply."""
 
 
 class Sink(Protocol):
-    """Takes exchanges as they come."""
+    """A file that takes exchanges as they come."""
 
     def put(self, exchange: Exchange, words: Words, time_ns: int) -> None:
-        """`time_ns`: of the day (Unix)."""
+        """Write an exchange. `time_ns` is its Unix time."""
 
 
 class Pcap:
-    """Modbus RTU frames that Wireshark decodes without any setting."""
+    """Writes Modbus RTU frames in a form that Wireshark decodes without any setting."""
 
     def __init__(self, file: BinaryIO, kind: str) -> None:
         self._file, self._kind = file, kind
@@ -64,7 +65,7 @@ class Pcap:
 
 
 class Candump:
-    """As `candump -L` writes it; python-can's own writer."""
+    """Writes the format of `candump -L`, with python-can's own writer."""
 
     def __init__(self, writer: MessageWriter, channel: str) -> None:
         self._writer, self._channel = writer, channel
@@ -74,10 +75,10 @@ class Candump:
 
 
 class Mcap:
-    """JSON without a schema, a topic for each line."""
+    """Writes an MCAP file with JSON messages without a schema, and a topic for the line."""
 
     def __init__(self, stack: ExitStack, file: BinaryIO, line: str) -> None:
-        """Raises ModuleNotFoundError where the extra is missing."""
+        """Raise ModuleNotFoundError if the extra `mcap` is not installed."""
         from mcap.writer import Writer
 
         self._writer = Writer(file)
@@ -91,7 +92,7 @@ class Mcap:
 
 
 def record(exchange: Exchange, words: Words, time_ns: int) -> dict[str, object]:
-    """An exchange as one JSON object."""
+    """Return an exchange as one JSON object."""
     reply_us = None if exchange.reply_ns is None else (exchange.reply_ns - exchange.stamp_ns) / 1e3
     return {
         "time_s": time_ns / 1e9,
@@ -108,7 +109,7 @@ def record(exchange: Exchange, words: Words, time_ns: int) -> dict[str, object]:
 def opened(
     kind: str, line: str, port: str, pcap: Path | None, candump: Path | None, mcap: Path | None
 ) -> Iterator[list[Sink]]:
-    """The files that were asked for. Raises OSError."""
+    """Open the requested files (those that are not None). Raise OSError if one cannot be opened."""
     sinks: list[Sink] = []
     with ExitStack() as stack:
         if pcap is not None:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boards on a stream."""
+"""Boards on a serial port whose cycle runs in C."""

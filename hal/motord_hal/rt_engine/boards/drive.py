@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board whose cycle runs in C: what asyncio does for it."""
+"""The part in asyncio of a board whose cycle runs in C: set-up, arming, reports."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from motord_hal.rt_engine.rs485.drive import RtDrive
 
 LOOK_EVERY_S = 0.01
 START_GRACE_S = 2.5
-"""An Arduino restarts when its port is opened, and its boot loader waits for two seconds."""
+"""Time for a board to send its first feedback after its port was opened. An Arduino restarts when
+its port is opened, and its boot loader waits for two seconds."""
 
 
 class BoardRtDrive(RtDrive):
-    """The one drive of its line. Whether it responds is judged by what C has received."""
+    """The board, the only drive of its line. Feedback received in C shows that it responds."""
 
     def __init__(
         self,
@@ -45,7 +46,8 @@ class BoardRtDrive(RtDrive):
         return f"nothing for {self._silence_s * 1e3:.0f} ms"
 
     async def _present(self) -> None:
-        """Wait until it sends. A board that restarts when its port is opened needs more time."""
+        """Wait until the board sends feedback. Report it as unresponsive only after START_GRACE_S,
+        because it may restart when its port is opened."""
         patience_s = now_s() + START_GRACE_S
         while not self._board.report().drives[0].received_ns:
             if now_s() > patience_s:
@@ -54,11 +56,12 @@ class BoardRtDrive(RtDrive):
             await asyncio.sleep(LOOK_EVERY_S)
 
     def _arming_steps(self) -> tuple[Step, ...]:
-        """Every frame carries zero until it is armed: nothing has to be written before."""
+        """Return the profile's steps alone: every frame carries zero until the board is armed, so
+        that zero need not be written before."""
         return self.jobs.profile.arm
 
     async def enable(self, began: int) -> None:
-        """As RtDrive.enable, after a power-off in progress."""
+        """Extend `RtDrive.enable`: wait first for the end of a power-off."""
         if self._powering_off is not None:
             await asyncio.shield(self._powering_off)
         await super().enable(began)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs of a board whose cycle runs in C: a write stays in every frame, and a wait checks what the
-board sends after it has received the writes."""
+"""Jobs of a board whose cycle runs in C. A written value stays in every later frame; a wait checks
+the feedback that the board sends after it has received the writes."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from motord_hal.rt_engine.orders import ARM, OrderJobs
 from motord_hal.rt_engine.rs485.request_queue import Check, always
 
 WAIT_LEAST_S = 0.25
-"""For a step that waits: time for a frame there and one back, if the profile gives no time."""
+"""Least deadline of a step that waits: time for a frame to the board and one back."""
 
 
 class BoardJobs(OrderJobs):
-    """Jobs of the board of a line."""
+    """Runs the jobs of the board on a line."""
 
     def __init__(
         self, name: str, plan: DrivePlan, layout: Layout, thread: BoardThread, period_s: float
@@ -35,14 +35,14 @@ class BoardJobs(OrderJobs):
         self._thread = thread
 
     def value(self, register: str) -> int | None:
-        """The newest raw value; None: the board is silent."""
+        """Return the newest raw value of a register; None: the board has not reported it."""
         return self._layout.raw(register, self._drive_report().payload)
 
     async def run(
         self, name: str, steps: Sequence[Step], *, urgent: bool = False, check: Check = always
     ) -> None:
-        """Step by step; `check` is called before each, and again while it lasts. Raises
-        HalError."""
+        """Do the steps in order. Call `check` before each, and repeatedly during a wait. Raise
+        HalError if a step fails."""
         async with self._in_turn(urgent=urgent):
             await self._work(name, steps, check)
 
@@ -62,7 +62,7 @@ class BoardJobs(OrderJobs):
         return self._thread.ordered
 
     async def _write(self, name: str, write: Plain, stops: int | None) -> None:
-        """Wait until a frame with it has gone out."""
+        """Pass a write to the thread, and wait until a frame with it has gone out."""
         dropped = self._drive_report().orders_dropped
         order = {
             "write": write,
@@ -75,7 +75,8 @@ class BoardJobs(OrderJobs):
             raise NoReply(f"{self._name}: {name}: not written: stopped, or the port takes no bytes")
 
     async def _wait_for(self, name: str, step: Step, check: Check) -> None:
-        """Wait until feedback shows it that the board made after it had received all writes."""
+        """Wait until the register has the value of the step, in feedback that the board made after
+        it had received all writes."""
         until_s = now_s() + max(step.within_s, WAIT_LEAST_S)
         while True:
             report = self._drive_report()

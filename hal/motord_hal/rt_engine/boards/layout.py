@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a board's registers are in what it receives and sends, by the kind of its line: pure."""
+"""Places of a board's registers in what it receives and sends, by the kind of its line. Pure."""
 
 from __future__ import annotations
 
@@ -40,34 +40,36 @@ _PROTOCOLS = MappingProxyType(
         "sabertooth": ("sabertooth",),
     }
 )
-"""By the kind of the line."""
+"""Kind of line → protocols of the profiles that it can use."""
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where registers are in what the board receives, and in what it sends."""
+    """Places of the registers in the payload that the board receives (`sent`), and in its feedback
+    (`reported`), by their names."""
 
     sent: Mapping[str, Plain]
     reported: Mapping[str, Plain]
     dialect: Plain
-    """The protocol's entries of the table."""
+    """Entries of the table that depend on the protocol."""
     rate_z: Plain | None = None
-    """The rate of an inertial sensor in a text; None: the text has no sensor."""
+    """Place of an inertial sensor's rate about z in a text; None: the text has no sensor."""
     units: tuple[int, ...] = ()
-    """Addresses of drivers on one wire, each with its part of the frame; empty: one board."""
+    """Addresses of several drivers on one wire, each with its own part of the payload; empty: there
+    is one board."""
 
     def place(self, register: str, unit: int) -> Plain:
-        """Its place in what the board with this address receives."""
+        """Return the register's place in the payload for the board with this address."""
         first = self.sent[register]
         part = self.units.index(unit) if self.units else 0
         return {**first, "byte": first["byte"] + part * sabertooth.ADDRESSES}
 
     def places(self, register: str) -> list[Plain]:
-        """The register's places for all boards on the line."""
+        """Return the register's places for all boards on the line."""
         return [self.place(register, unit) for unit in self.units or (0,)]
 
     def raw(self, register: str, payload: bytes) -> int | None:
-        """Its value in a board's feedback; None: the feedback does not have it."""
+        """Return the register's raw value in a board's feedback; None: it is not in there."""
         place = self.reported.get(register)
         if place is None or len(payload) < place["byte"] + place["bytes"]:
             return None
@@ -76,7 +78,7 @@ class Layout:
 
 
 def layout_of(spec: LineSpec, plan: DrivePlan, period_s: float) -> Layout:
-    """By the kind of the line. Raises ProfileError."""
+    """Return the layout for the kind of line. Raise ProfileError if the profile does not fit."""
     if plan.profile.protocol not in _PROTOCOLS[spec.kind]:
         raise ProfileError(f"{spec.name}: {plan.profile.name} speaks {plan.profile.protocol}")
     if spec.kind == "mcu":
@@ -103,7 +105,8 @@ def _frames(plan: DrivePlan, period_s: float) -> Layout:
 
 
 def _text(spec: LineSpec, plan: DrivePlan) -> Layout:
-    """The numbers follow one another; a text has no layout of its own."""
+    """Return the layout of a text. A text has no places of its own: its numbers are stored one
+    after the other in a payload."""
     sent, end = {}, 0
     for register in plan.profile.registers.values():
         if "w" in register.access:
@@ -166,7 +169,7 @@ def _units(spec: LineSpec) -> tuple[int, ...]:
 
 
 def _fields_of(plan: DrivePlan) -> dict[str, Register]:
-    """Field of a template of feedback → register."""
+    """Return field of the feedback template → register."""
     names = {VOLTAGE: plan.profile.bus_voltage}
     for joint in plan.joints:
         channel = plan.channel(joint)
@@ -188,7 +191,8 @@ def setpoint_of(plan: DrivePlan, joint: JointSpec) -> tuple[JointSpec, Register]
 
 
 def wire_bytes(spec: LineSpec, channels: Iterable[int]) -> int:
-    """Bytes of the longer of both directions, in a cycle. Raises ProfileError."""
+    """Return the bytes of a cycle in the direction that has more of them. Raise ProfileError if the
+    templates of a text are bad."""
     if spec.kind == "mcu":
         return frame_bytes(max(channels), imu=spec.imu is not None)
     if spec.kind == "ascii":

@@ -23,7 +23,8 @@ from motord_hal.serial.port import OpenPort, open_port
 
 
 class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
-    """ports.Line for the kinds "mcu", "ascii", "hoverboard" and "sabertooth", engine "rt"."""
+    """Implements ports.Line for the kinds "mcu", "ascii", "hoverboard" and "sabertooth" with the
+    engine "rt"."""
 
     _thread: BoardThread
 
@@ -49,10 +50,11 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         self._exchanges = self._cycles = 0
         self._round_trips = RoundTrips()
         self._epoch = 0
-        """What comes after a reopening is new, even if its counters look the same."""
+        """Epoch of the newest feedback. The next thread continues from it, so that feedback after a
+        reopening counts as new, even if its counters look the same."""
 
     def stats(self) -> LineStats:
-        """As ports.Line.stats, to this moment. An exchange is a feedback; a round trip is from
+        """Implement `ports.Line.stats`. An exchange is one feedback; a round trip is from
         set-points to the feedback that acknowledges them, without the board's own delay."""
         stats = LineStats(
             exchanges=self._exchanges,
@@ -72,10 +74,10 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
         return stats
 
     def _counted(self) -> Counter[str]:
-        """Errors that earlier threads and the line itself have counted."""
+        """Return the errors that earlier threads and the line itself have counted."""
         return self._errors + Counter({"port": self._losses})
 
-    # --------------------------------------------------------------------------------- its own port
+    # ------------------------------------------------------------------------------------- the port
     async def _start(self) -> tuple[str, ...]:
         self._port = open_port(self.spec)
         self._port.flush()
@@ -108,7 +110,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
 
     # ---------------------------------------------------------------------------------- parameters
     async def read_register(self, joint: str, register: str) -> float:
-        """As ports.Line.read_register: from the newest feedback."""
+        """Implement `ports.Line.read_register` with the newest feedback."""
         drive = self._drive_of(joint)
         found = readable(drive.jobs.profile, register)
         self._check_open()
@@ -119,7 +121,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
 
 
 def _check_boards(spec: LineSpec) -> None:
-    """Raises ProfileError for boards that cannot share a line."""
+    """Raise ProfileError if the boards cannot share a line."""
     boards = list(joints_by_unit(spec))
     if spec.kind != "sabertooth" and len(boards) != 1:
         raise ProfileError(f"{spec.name}: one board a line: all its joints have the same unit")
@@ -128,7 +130,7 @@ def _check_boards(spec: LineSpec) -> None:
 
 
 def _errors(report: BoardReport) -> Counter[str]:
-    """Counters of zero are left out."""
+    """Return the errors in a report by their kind, without counters of zero."""
     counts = {
         "bad_reply": report.bad_frames,
         "no_room": report.no_room,

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a board and its joints to the table that its thread in C runs: pure; plain values, named as
-in csrc/api/line/api_board.h.
+"""Makes the table for the thread of a board in C from the board and its joints. The table consists
+of plain values with the names of csrc/api/line/api_board.h. Pure.
 
-Signs, gears and units are those of `motord_hal.modbus.plan`; here they become one factor a number.
+Signs, gears and units are those of `motord_hal.modbus.plan`; here they become one factor for each
+number.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, source
 from motord_hal.rt_engine.rs485.table import raw_limits, si_per_raw
 
 UNRESPONSIVE_ALLOWANCE_S = 0.12
-"""Beyond the feedback that may be lost: an adapter may be late."""
+"""Time that a late adapter may add to the cycles without feedback that are allowed."""
 _NS_PER_S = 1e9
 _U32 = 0xFFFF_FFFF
 
@@ -28,8 +29,8 @@ _U32 = 0xFFFF_FFFF
 def board_table(
     spec: LineSpec, plan: DrivePlan, layout: Layout, period_s: float, gap_s: float
 ) -> Plain:
-    """`gap_s`: the time of a frame on the wire. C checks the table once more and names the first
-    bad field."""
+    """Return the table of a board. `gap_s` is the time of a frame on the wire. C checks the table
+    once more and names the first bad field."""
     profile = plan.profile
     tries = max(joint.tries for joint in plan.joints)
     parts: dict[str, Sequence[Plain]] = {
@@ -68,7 +69,7 @@ def _imu(spec: LineSpec, layout: Layout) -> Plain:
 
 
 def writes(layout: Layout, steps: Iterable[Step]) -> list[Plain]:
-    """The writes of a sequence, in order, each to all boards; waits are left out."""
+    """Return the writes of a sequence, in order and each to all boards, without its waits."""
     return [
         {"place": place, "raw": step.value}
         for step in steps
@@ -111,7 +112,8 @@ def _meaning(plan: DrivePlan, joint: JointSpec, kind: FieldKind, register: Regis
 
 
 def _board_fields(spec: LineSpec, profile: DriveProfile, layout: Layout) -> Iterator[Plain]:
-    """The waits of its set-up must stay true: a restarted board shows it there."""
+    """Yield the fields of the board as a whole: whether it is enabled, and the waits of its set-up.
+    The waits have to stay true; one that is not shows that the board was restarted."""
     waited = [step for step in configure_steps(profile, spec.watchdog_s) if step.value is None]
     wanted = [(FieldKind.KEPT, step.register, step.mask, step.equals or 0) for step in waited]
     if profile.enabled is not None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Templates of lines of text as the pieces that a board's thread in C writes and reads: pure."""
+"""Converts templates of text to the pieces that a board's thread in C writes and reads. Pure."""
 
 from __future__ import annotations
 
@@ -32,18 +32,19 @@ from motord_hal.rt_engine.rs485.table import si_per_raw
 Plain = dict[str, Any]
 
 NUMBER_BYTES = 6
-"""Range of a number that is read: more than any signed counter of 32 bits."""
+"""Width of the place of a number that is read. It holds more than any signed counter of 32 bits."""
 _FORMS = MappingProxyType({"d": 1, "f": 2, "g": 3})
 _NO_NUMBER, _CONSTANT = 0, 4
 _PRECISION = 6
-"""The default of printf and of Python, if a format gives none."""
+"""Decimals if a format gives none: the default of printf and of Python."""
 _FORMAT = re.compile(
     r"(?P<sign>[+ ]?)(?P<zeros>0?)(?P<width>\d*)(\.(?P<precision>\d+))?(?P<form>[dfg])"
 )
 
 
 def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> Plain:
-    """The text of the set-points, from their raw values in this order."""
+    """Return the struct board_text of the set-points, whose raw values are in this order. Raise
+    ProfileError if the templates are not possible."""
     _, sent, received = texts_of(spec)
     if why := why_not_possible(sent, received):
         raise ProfileError(f"{spec.name}: {why}")
@@ -51,7 +52,7 @@ def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> 
 
     def number(name: str, form: str) -> Plain:
         found = _FORMAT.fullmatch(form)
-        assert found is not None  # why_not_possible
+        assert found is not None  # why_not_possible has checked it
         precision = found["precision"]
         return {
             "form": _FORMS[found["form"]],
@@ -62,14 +63,15 @@ def written(spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]) -> 
             "number_per_raw": factors[name],
         }
 
-    assert spec.text is not None  # texts_of
+    assert spec.text is not None  # texts_of has checked it
     return _pieces(sent, number, spec.text.prefix)
 
 
 def _factors(
     spec: LineSpec, setpoints: Sequence[tuple[JointSpec, Register]]
 ) -> dict[str, list[float]]:
-    """Field → its number for one raw step of each set-point: all fields are sums of them."""
+    """Return field → the factors from the raw set-points to the number of the field, which is the
+    sum of raw × factor."""
     text, sent, _ = texts_of(spec)
     steps = {joint.name: si_per_raw(register) for joint, register in setpoints}
     if set(sent.fields) == set(rim_fields(tuple(steps))):
@@ -93,7 +95,7 @@ def _factors(
 
 
 def place_of(number: int) -> Plain:
-    """Where the number of a field that is read stands."""
+    """Return the place in the payload of field number `number` of the feedback."""
     return {"byte": NUMBER_BYTES * number, "bytes": NUMBER_BYTES, "is_signed": 1}
 
 
@@ -102,8 +104,8 @@ def read(
     registers: Mapping[str, Register],
     factors: Mapping[str, float] = MappingProxyType({}),
 ) -> Plain:
-    """The text of the feedback; `registers`: what a field is, where it is one; `factors`: as of
-    `feedback_factors`."""
+    """Return the struct board_text of the feedback. `registers`: field → register, for the fields
+    that belong to a register; `factors`: result of `feedback_factors`."""
 
     def number(name: str, form: str) -> Plain:
         del form
@@ -118,7 +120,8 @@ def read(
 
 
 def feedback_factors(spec: LineSpec) -> dict[str, float]:
-    """Field → what 1 in the text means at its motor, for rims in rad/s and counts."""
+    """Return field → value in the field's unit that the number 1 in the text means; for speeds and
+    distances of the wheel's rim, in rad/s and counts of the motor."""
     text, _, received = texts_of(spec)
     rims = {joint.name + RIM_SPEED: motor_rad_per_m(text, joint) for joint in spec.joints}
     rims |= {joint.name + RIM_DISTANCE: counts_per_m(text, joint) for joint in spec.joints}

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN buses."""
+"""CAN lines whose cycle runs in C."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive on a CAN bus whose cycle runs in C: what asyncio does for it."""
+"""The part in asyncio of a drive on a CAN bus whose cycle runs in C: set-up, arming, reports."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PROBE_LIMIT_S = 2.0
 
 
 class CanRtDrive(RtDrive):
-    """Number `index` of the line's table. Whether it responds is judged by what C has received."""
+    """Drive number `index` of the line's table. Frames received in C show that it responds."""
 
     def __init__(
         self,
@@ -45,14 +45,14 @@ class CanRtDrive(RtDrive):
         self._silences_s = [silence_s(plan, spec, frame) for frame in self._inputs]
         self._probes = plan.probed if plan.hello is None else (plan.hello,)
         self._faults = 0
-        """How many of them have been reported."""
+        """Number of the drive's stopping faults that were already reported."""
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (node {self.jobs.unit})"
 
     def update(self, report: Any, fault_words: Sequence[int]) -> None:
-        """As RtDrive.update. A fault is reported also if the stop that C sent for it has cleared it
-        in the drive."""
+        """Extend `RtDrive.update`: report a fault also if the stop that C sent because of it has
+        already cleared it in the drive."""
         if report.faults > self._faults:
             for joint in self.jobs.joints:
                 if joint.index == report.last_fault_joint:
@@ -67,7 +67,7 @@ class CanRtDrive(RtDrive):
         return f"no {frame.name} frame" + (f" for {silent_s:.2g} s" if silent_s else "")
 
     async def _present(self) -> None:
-        """Wait until its frames come. Frames that it does not send by itself are requested."""
+        """Wait until the drive's frames come; request those that it does not send by itself."""
         patience_s = now_s() + max(self._silences_s, default=0.0) + FIRST_WORD_S
         backoff, probe_s = Backoff(PROBE_FIRST_S, PROBE_LIMIT_S), 0.0
         while (report := self._bus.report().drives[self._index]).missing:
@@ -82,7 +82,7 @@ class CanRtDrive(RtDrive):
 
     def _arming_steps(self) -> tuple[Step, ...]:
         plan, arm = self.jobs.plan, self.jobs.profile.arm
-        if plan.profile.goes_to_positions:  # C sends it its own position as long as it rests
+        if plan.profile.goes_to_positions:  # at rest, C sends its present position
             positions = {plan.channel(joint).position or "" for joint in plan.joints}
             known = (Step(register=name, mask=0, equals=0) for name in sorted(positions))
             return (*known, *arm)
@@ -90,13 +90,13 @@ class CanRtDrive(RtDrive):
         return (*rest, *arm)
 
     async def enable(self, began: int) -> None:
-        """As RtDrive.enable, after a power-off in progress."""
+        """Extend `RtDrive.enable`: wait first for the end of a power-off."""
         if self._powering_off is not None:
             await asyncio.shield(self._powering_off)
         await super().enable(began)
 
     async def write_register(self, register: str, steps: Sequence[Step]) -> float:
-        """As RtDrive.write_register: the value that was read back."""
+        """Implement `RtDrive.write_register`; return the value that was read back."""
         job = Job("write", steps)
         await self.jobs.finish(job)
         return self.profile.registers[register].to_si(job.raw)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs of one drive on a CAN bus whose cycle runs in C: frames go out as orders, and during a job
-the frames of the drive come here."""
+"""Jobs of one drive on a CAN bus whose cycle runs in C. Their frames go out as orders; during a job
+the thread passes the frames of the drive to Python."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from motord_hal.rt_engine.rs485.request_queue import Check, always
 
 
 class CanJobs(OrderJobs):
-    """Jobs of drive number `index` of the line's table. `take_in` passes on frames that have
-    come."""
+    """Jobs of drive number `index` of the line's table. `take_in` takes the received frames from
+    the thread and passes them to `received`."""
 
     def __init__(
         self,
@@ -43,18 +43,18 @@ class CanJobs(OrderJobs):
         self._runners: list[StepRunner] = []
 
     def received(self, frame: Frame, values: dict[str, int]) -> None:
-        """A frame has come."""
+        """Pass a received frame to the running jobs."""
         for runner in self._runners:
             runner.received(frame, values)
 
     async def run(
         self, name: str, steps: Sequence[Step], *, urgent: bool = False, check: Check = always
     ) -> None:
-        """Step by step; `check` is called before each. Raises HalError."""
+        """Do the steps in order; call `check` before each. Raise HalError if a step fails."""
         await self.finish(Job(name, steps), urgent=urgent, check=check)
 
     async def finish(self, job: Job, *, urgent: bool = False, check: Check = always) -> None:
-        """As `run`, for a caller that needs what the job has read."""
+        """Run a job that the caller made. Afterwards `job.raw` has the value that it read."""
         async with self._in_turn(urgent=urgent):
             await self._work(job, check)
 
@@ -90,9 +90,9 @@ class CanJobs(OrderJobs):
         return self._order(write(self.plan, frame, raw), stops)
 
     def ask(self, frame: Frame) -> bool:
-        """Request a frame of the drive; False: it was not requested."""
+        """Request a frame of the drive. Return False if no request was sent."""
         question = self.plan.question(frame)
-        if question is None or question == self.plan.sync:  # the cycle sends it
+        if question is None or question == self.plan.sync:  # the cycle sends a sync
             return False
         return self._order({"packet": packet(question)}, None)
 

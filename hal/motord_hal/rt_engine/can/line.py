@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The CAN line whose cycle runs in C."""
+"""A CAN line whose cycle runs in C."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _IDENTIFIER = 0x1FFF_FFFF
 
 
 class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
-    """ports.Line for `kind = "can"`, engine "rt"."""
+    """Implements ports.Line for the kind "can" with the engine "rt"."""
 
     _thread: CanThread
 
@@ -66,12 +66,13 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         self._warnings = BusWarnings()
         self._frames = self._cycles = 0
         self._before = {"epoch": 0, "may_turn": 0, "left_running": int(spec.left_running)}
-        """What comes after a reopening is new, even if its counters look the same; and a drive that
-        was armed may still turn."""
+        """State of the drives that the next thread starts from. With `epoch` the feedback after a
+        reopening counts as new, even if its counters look the same; `may_turn` marks the drives
+        that were armed and may still turn."""
 
     def stats(self) -> LineStats:
-        """As ports.Line.stats, to this moment; `exchanges` counts frames of the drives. There are
-        no round trips: most frames come without a request."""
+        """Implement `ports.Line.stats`. `exchanges` counts the frames of the drives. There are no
+        round trips, because most frames come without a request."""
         stats = LineStats(
             exchanges=self._frames,
             cycles=self._cycles,
@@ -87,7 +88,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             stats.errors = dict(self._errors + _errors(report))
         return stats
 
-    # ------------------------------------------------------------------------------- its own medium
+    # ----------------------------------------------------------------------------------- the socket
     async def _start(self) -> tuple[str, ...]:
         identifiers = [
             one for plan in self._plans for one in (*plan.identifiers, *plan.setpoint_identifiers)
@@ -124,7 +125,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
     def _ended(self, report: CanReport) -> PortError | None:
         if self._trouble is not None:
             return self._trouble
-        if self._bus_off.is_off():  # the frame that reports it was lost
+        if self._bus_off.is_off():  # the error frame that reports it was lost
             self._errors["bus_off"] += 1
             return PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
         if not report.running:
@@ -135,7 +136,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         return report.cycles > STEADY_S * self.spec.cycle_hz
 
     def _look(self) -> CanReport:
-        """As RtLineBase._look."""
+        """Extend `RtLineBase._look`: take the received frames first."""
         self._take_frames()
         return super()._look()
 
@@ -166,8 +167,8 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
 
     # ---------------------------------------------------------------------------------- parameters
     async def read_register(self, joint: str, register: str) -> float:
-        """As ports.Line.read_register; a register is a signal. If the drive sends it without a
-        request, the next frame counts."""
+        """Implement `ports.Line.read_register` for the signals of a CAN drive. If the drive sends
+        the signal without a request, wait for its next frame."""
         jobs = self._drive_of(joint).jobs
         found = jobs.plan.readable(register)
         self._check_open()
@@ -177,6 +178,6 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
 
 
 def _errors(report: CanReport) -> Counter[str]:
-    """Counters of zero are left out."""
+    """Return the errors in a report by their kind, without counters of zero."""
     counts = {"tx_full": report.tx_full, "bad_frame": report.bad_frames, "unheard": report.dropped}
     return Counter({kind: count for kind, count in counts.items() if count})

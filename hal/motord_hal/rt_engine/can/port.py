@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The socket of a CAN bus for its thread: SocketCAN's, or unix:PATH, a SOCK_SEQPACKET socket that
-carries the same frames (simulators, tests, programs in place of a CAN bus)."""
+"""The socket of a CAN bus for its thread: a SocketCAN socket, or, for unix:PATH, a SOCK_SEQPACKET
+socket that carries the same frames (simulators, tests, programs in place of a CAN bus)."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from motord_hal.can.unix_client import SO_TIMESTAMPNS
 from motord_hal.realtime.can import EXTENDED, REMOTE
 
 _FILTER = struct.Struct("=II")
-"""struct can_filter: identifier, mask."""
+"""Layout of struct can_filter: identifier, mask."""
 _CAN_RAW_ERR_FILTER = 2
-"""linux/can/raw.h"""
+"""Socket option from linux/can/raw.h."""
 _CAN_RAW_RECV_OWN_MSGS = 4
-"""linux/can/raw.h"""
+"""Socket option from linux/can/raw.h."""
 _ERRORS_ALL = 0x1FFF_FFFF
-"""linux/can/error.h, CAN_ERR_MASK"""
+"""Mask of all error frames: CAN_ERR_MASK of linux/can/error.h."""
 
 
 def open_socket(
     address: str, identifiers: Iterable[tuple[int, bool]], *, fd_frames: bool
 ) -> socket.socket:
-    """Not blocking, on the CAN bus from now on; SocketCAN's receives frames of its own,
-    too, when they have left. Raises PortError."""
+    """Open a non-blocking socket on the CAN bus. A SocketCAN socket also receives its own frames
+    once they were sent. Raise PortError if the socket cannot be opened."""
     interface, channel = split_address(address)
     try:
         if interface == "unix":

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the drives of a CAN bus to the table that its thread in C runs: pure; plain values, named as
-in csrc/api/line/api_can.h.
+"""Makes the table for the thread of a CAN line in C from the drives on it. The table consists of
+plain values with the names of csrc/api/line/api_can.h. Pure.
 
-Signs, gears and units are those of `motord_hal.can.plan`, which the asyncio engine computes with at
-each frame; here they become one factor a number.
+Signs, gears and units are those of `motord_hal.can.plan`, with which the asyncio engine computes at
+each frame; here they become one factor for each number.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from motord_hal.realtime.table import FieldKind
 from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, sources_of
 
 SAMPLE_PART = 0.5
-"""As in the asyncio engine: samples that the CAN bus has pushed together count only if they are
-apart by this part of their period."""
+"""Least distance of two samples as a part of their period. The thread ignores a sample that follows
+sooner, because the CAN bus has delayed the one before (the same rule as in the asyncio engine)."""
 _NS_PER_S = 1e9
 _U32 = 0xFFFF_FFFF
 
@@ -32,7 +32,7 @@ Plain = dict[str, Any]
 
 
 def can_table(spec: LineSpec, plans: Sequence[CanPlan]) -> Plain:
-    """The table of a CAN line. C checks it once more and names the first bad field."""
+    """Return the table of a CAN line. C checks it once more and names the first bad field."""
     syncs = list(dict.fromkeys(plan.sync for plan in plans if plan.sync))
     return {
         "sync_count": len(syncs),
@@ -46,13 +46,13 @@ def can_table(spec: LineSpec, plans: Sequence[CanPlan]) -> Plain:
 
 
 def inputs_of(plan: CanPlan) -> tuple[Frame, ...]:
-    """The frames of the drive that the cycle uses, in the order of the table."""
+    """Return the frames of the drive that the cycle uses, in the order of the table."""
     hello = () if plan.hello is None else (plan.hello,)
     return tuple(dict.fromkeys((*plan.fast, *plan.slow, *plan.watched, *hello)))
 
 
 def drive_table(plan: CanPlan, spec: LineSpec) -> Plain:
-    """One drive of it."""
+    """Return the entry of one drive in the table of its line."""
     inputs = inputs_of(plan)
     probes = plan.probed if plan.hello is None else (plan.hello,)
     parts: dict[str, list[Plain]] = {
@@ -77,9 +77,9 @@ def drive_table(plan: CanPlan, spec: LineSpec) -> Plain:
     }
 
 
-# --------------------------------------------------------------------------------------- frames out
+# -------------------------------------------------------------------------------------- sent frames
 def packet(sent: Sent) -> Plain:
-    """A frame for C."""
+    """Return a frame as the struct can_packet."""
     remote = REMOTE if sent.remote_bytes is not None else 0
     size_bytes = len(sent.data) if sent.remote_bytes is None else sent.remote_bytes
     return {
@@ -91,7 +91,8 @@ def packet(sent: Sent) -> Plain:
 
 
 def write(plan: CanPlan, frame: Frame, raw: Mapping[str, int]) -> Plain:
-    """A frame with these signals. In a frame that also carries set-points they are held."""
+    """Return the struct can_write of a frame with these signals. If the frame also carries
+    set-points, the signals stay in it from then on."""
     plain: Plain = {"packet": packet(plan.write(frame, raw))}
     if frame in plan.setpoint_frames:
         mask = bytearray(frame.size_bytes)
@@ -107,14 +108,14 @@ def _mark(signal: Signal, mask: bytearray) -> None:
 
 
 def _step_writes(plan: CanPlan, steps: Iterable[Step]) -> list[Plain]:
-    """The writes of a sequence, in order; waits are left out."""
+    """Return the writes of a sequence, in order, without its waits."""
     return [write(plan, frame, raw) for frame, raw in merged_writes(plan, steps)]
 
 
 def _questions(plan: CanPlan, frames: Iterable[Frame]) -> Iterator[Plain]:
     for frame in frames:
         question = plan.question(frame)
-        if question is not None and question != plan.sync:  # the cycle sends it
+        if question is not None and question != plan.sync:  # the cycle sends a sync
             yield packet(question)
 
 
@@ -153,7 +154,7 @@ def _setpoints(plan: CanPlan, frame: Frame) -> Iterator[Plain]:
 
 
 def _trigger(plan: CanPlan, handshake: Handshake | None) -> Plain:
-    """The bit with which the drive takes a target; a length of 0: it takes every target."""
+    """Return the bit that makes the drive take a target; empty: it takes every target."""
     if handshake is None:
         return {}
     signal, place = plan.signal(handshake.register), handshake.mask.bit_length() - 1
@@ -168,16 +169,18 @@ def _trigger(plan: CanPlan, handshake: Handshake | None) -> Plain:
 
 
 def _raw_limits(signal: Signal) -> tuple[float, float]:
-    """As Signal.from_si holds a value within its own limits and those of its type."""
+    """Return the least and greatest raw value, from the limits of the signal and of its type, as
+    Signal.from_si applies them."""
     ends = sorted(limit / _si_per_raw(signal) for limit in signal.si_limits)
     least, most = (-FLOAT_MAX, FLOAT_MAX) if signal.is_float else map(float, signal.raw_range)
     return max(ends[0], least), min(ends[1], most)
 
 
-# --------------------------------------------------------------------------------------- frames in
+# --------------------------------------------------------------------------------- received frames
 def _matches(plan: CanPlan, inputs: Sequence[Frame]) -> Iterator[Plain]:
-    """How each frame is recognised. Replies about objects that the cycle does not use go to Python,
-    which decodes them: one match covers all, after the other matches of their identifier."""
+    """Yield the matches that recognise the drive's frames. Replies about objects that the cycle
+    does not use go to Python, which decodes them: one match covers them all, after the other
+    matches of their identifier."""
     reply = plan.table.frames.get(plan.table.abort)
     for frame in plan.table.frames_from(Sender.DRIVE):
         if reply is None or frame in inputs or frame.base != reply.base:
@@ -198,7 +201,8 @@ def _match(plan: CanPlan, frame: Frame, inputs: Sequence[Frame]) -> Plain:
 
 
 def _sent_by(frame: Frame) -> Iterator[int]:
-    """Bits of each of its first bytes that identify it: those in which all its beginnings agree."""
+    """Yield for each of a frame's first bytes the mask of the bits that identify the frame: those
+    in which all beginnings of the frame agree."""
     for at, (one, other) in enumerate(
         zip(frame.begins, frame.or_begins or frame.begins, strict=True)
     ):
@@ -206,7 +210,7 @@ def _sent_by(frame: Frame) -> Iterator[int]:
 
 
 def silence_s(plan: CanPlan, spec: LineSpec, frame: Frame) -> float:
-    """After so long without this frame the drive is unresponsive; 0: the frame may be missing."""
+    """Return the time without this frame after which a drive is unresponsive; 0: never."""
     if frame not in plan.watched:
         return 0.0
     if frame.period_s:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RS485 lines: Modbus RTU, DDSM and RoboClaw."""
+"""Serial lines whose cycle runs in C: Modbus RTU, DDSM, RoboClaw and bus servos."""

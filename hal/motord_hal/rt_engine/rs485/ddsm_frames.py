@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One DDSM drive as frames for its line (frames.DriveFrames)."""
+"""The frames of a DDSM drive (implements frames.DriveFrames)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ from motord_hal.rt_engine.rs485.frames import PlannedFrame
 
 
 class DdsmFrames:
-    """One unit, with one motor: set-points and feedback of a command are one exchange."""
+    """Implements DriveFrames for one unit with one motor. The set-points and the feedback of a
+    command are one exchange."""
 
     def __init__(self, joints: Iterable[JointSpec], gap_s: float, wire_time_s: WireTime) -> None:
         self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
@@ -30,7 +31,7 @@ class DdsmFrames:
         self._exchange_s = wire_time_s(2 * FRAME_BYTES) + 2 * gap_s
 
     def cyclic(self) -> tuple[PlannedFrame, ...]:
-        """As DriveFrames.cyclic."""
+        """Implement `DriveFrames.cyclic`."""
         fast, slow = wanted_registers(self.profile, self.joints)
         sent = {command_of(register) for register in self._setpoints()}
         asked = {command_of(register) for register in fast}
@@ -51,7 +52,8 @@ class DdsmFrames:
         return tuple(Step(register=register.name, value=0) for register in self._setpoints())
 
     def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
-        """One frame a command; content that is not given is 0, so that it moves nothing."""
+        """Return one frame for each command. Registers of it that are not in `raw` are 0, so that
+        they move nothing."""
         by_command: dict[int, dict[Register, int]] = {}
         for name, value in raw.items():
             register = self.profile.registers[name]
@@ -59,7 +61,7 @@ class DdsmFrames:
         return tuple(self._frame(command, values) for command, values in by_command.items())
 
     def broadcasts(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
-        """Every DDSM command is for one unit."""
+        """Return no frames: every DDSM command is for one unit."""
         del raw
         return ()
 
@@ -77,7 +79,7 @@ class DdsmFrames:
         exchanges = len(self.cyclic()) + bool(self.extra())
         return exchanges * (self._exchange_s + self.profile.turnaround_s)
 
-    # -------------------------------------------------------------------------------- in detail
+    # ------------------------------------------------------------------------------------ parts
     def _setpoints(self) -> list[Register]:
         channels = (self.profile.channels[joint.channel] for joint in self.joints)
         return [self.profile.registers[channel.setpoint] for channel in channels]
@@ -90,7 +92,7 @@ class DdsmFrames:
         )
 
     def _frame(self, command: int, raw: Mapping[Register, int]) -> LineFrame:
-        """A reply is recognised by its unit and its check sum alone."""
+        """Return the frame of a command. Its reply is recognised by unit and check sum alone."""
         answered = is_answered(command)
         seal = Seal.CRC8 if answered else Seal.NONE
         return LineFrame(

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive of a real-time line: it is set up, armed and disarmed here, and watched.
+"""The part in asyncio of one drive on a line in C: set-up, arming, disarming and watching.
 
-Its cycle and its stops are in C (api_line.h). Here are only requests, which C carries out if that
+The cycle and the stops are in C (api_line.h). Here are only requests, which C carries out if that
 is safe, and sequences of requests.
 """
 
@@ -30,7 +30,8 @@ from motord_hal.rt_engine.rs485.request_queue import Check, exception_text
 RETRY_FIRST_S = 0.1
 RETRY_LIMIT_S = 2.0
 OBEYED_WITHIN_S = 1.0
-"""C carries out or refuses a request within milliseconds; asyncio may learn of it later."""
+"""Deadline for a mode request. C carries it out or refuses it within milliseconds, but asyncio may
+be late to see that."""
 
 _STATES = MappingProxyType(
     {
@@ -53,7 +54,7 @@ _WARNINGS = MappingProxyType(
 
 
 class Jobs(Protocol):
-    """Sequences of steps with one drive, beside its cycle."""
+    """Runs sequences of steps with one drive, beside its cycle."""
 
     profile: DriveProfile
     joints: tuple[JointSpec, ...]
@@ -61,7 +62,7 @@ class Jobs(Protocol):
 
     @property
     def request_limit_s(self) -> float:
-        """Longest time until a request is on the wire or dropped."""
+        """Longest time until a request is sent or dropped."""
         ...
 
     async def run(
@@ -70,7 +71,7 @@ class Jobs(Protocol):
 
 
 class RtDrive(abc.ABC):
-    """Number `index` of the line's table."""
+    """Drive number `index` of the line's table."""
 
     def __init__(
         self,
@@ -94,9 +95,9 @@ class RtDrive(abc.ABC):
         self._failed_setup = False
         self._reported_unresponsive = False
         self.stops = 0
-        """How often it was stood down: this ends an arming that began before."""
+        """How often the drive was stood down. A change during an arming ends the arming."""
         self._standing_down = 0
-        """The last request that did so."""
+        """Count of the newest request STAND_DOWN."""
         self._powering_off: asyncio.Future[None] | None = None
 
     def __str__(self) -> str:
@@ -104,21 +105,23 @@ class RtDrive(abc.ABC):
 
     @abc.abstractmethod
     def _why_unresponsive(self, report: Any) -> str:
-        """The report in words."""
+        """Return the reason, by the report, why the drive is unresponsive."""
 
     @abc.abstractmethod
     def _arming_steps(self) -> tuple[Step, ...]:
-        """Zero in its set-points, then the profile's steps, until it reports that it is enabled."""
+        """Return the steps of arming: zero set-points, then the profile's steps, until the drive
+        reports that it is enabled."""
 
     def _hint(self) -> str:
-        """Other possible reasons, from its medium."""
+        """Return another possible reason why the drive is unresponsive, which its medium shows;
+        empty: there is none known."""
         return ""
 
     @abc.abstractmethod
     async def _present(self) -> None:
-        """Returns when it responds, if its medium shows that before the set-up."""
+        """Wait until the drive responds, if its medium shows that before the set-up."""
 
-    # --------------------------------------------------------------------------------- what it is
+    # -------------------------------------------------------------------------------------- state
     @property
     def profile(self) -> DriveProfile:
         return self._jobs.profile
@@ -135,25 +138,25 @@ class RtDrive(abc.ABC):
 
     @property
     def is_stopping(self) -> bool:
-        """A quick stop was sent, and the wheel has not been seen at rest since."""
+        """Whether a quick stop was sent, and no report has shown the wheel at rest since."""
         return self._report is not None and self._report.stopping
 
     def lose(self, error: HalError) -> None:
-        """The line is lost; the drive's state is unknown."""
+        """Forget the drive's state, because the line is lost; callers that wait get `error`."""
         self._report = None
         self._failed_setup = False
         self.stops += 1
         self._powered_off(error)
 
     def update(self, report: AnyDriveReport, fault_words: Sequence[int]) -> None:
-        """Note what C reports, and report changes."""
+        """Store the newest report of C; report changes as events."""
         before = self.mode
         before_reasons = FaultReason(0) if self._report is None else self._report.fault_reasons
         self._report = report
-        if report.cycles:  # else its fault words have not been read
+        if report.cycles:  # before the first cycle no fault word has been read
             for joint in self._jobs.joints:
                 self.faults[joint.name].update(fault_words[joint.index])
-        # states between two looks are not seen: it may have been unresponsive in the first
+        # modes between two reports are not seen: the drive may have been unresponsive meanwhile
         if report.mode is Mode.READY and before not in (Mode.READY, Mode.ARMED):
             self._is_ready()
         elif report.mode in (Mode.UNRESPONSIVE, Mode.BACK):
@@ -176,9 +179,9 @@ class RtDrive(abc.ABC):
             cause = "; ".join(filter(None, (why, self._hint())))
             self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {cause}")
 
-    # -------------------------------------------------------------------------------- its two tasks
+    # -------------------------------------------------------------------------------- the two tasks
     async def keep_set_up(self) -> None:
-        """Whenever C reports that it is not set up: set it up, and request READY. Never returns."""
+        """Set the drive up and request READY whenever C reports that it is not set up, for ever."""
         while True:
             await self._notifier.until(lambda: self.mode in (Mode.OFF, Mode.BACK))
             try:
@@ -188,14 +191,14 @@ class RtDrive(abc.ABC):
                 await self._obeyed(self._thread.request_mode(self._index, Mode.READY))
                 continue
             except PortError:
-                pass  # the line has noticed it, too, and ends this task
+                pass  # the line has also seen it, and ends this task
             except HalError as error:
                 self._failed_setup = True
                 self._is_unresponsive(str(error))
             await asyncio.sleep(self._backoff.next_s())
 
     async def keep_powered_off(self) -> None:
-        """Whenever it was stood down: power off, ahead of all other requests. Never returns."""
+        """Power the drive off whenever it was stood down, before all other requests, for ever."""
         while True:
             await self._notifier.until(lambda: self._powering_off is not None)
             try:
@@ -217,7 +220,8 @@ class RtDrive(abc.ABC):
             future.exception()  # perhaps no caller waits for it
 
     async def _obeyed(self, request: int) -> None:
-        """Wait until C has carried the request out, or refused it. Raises HalError."""
+        """Wait until C has carried out or refused the mode request with this count. Raise HalError
+        if the thread does not answer in time."""
         try:
             async with within(OBEYED_WITHIN_S):
                 await self._notifier.until(
@@ -226,10 +230,10 @@ class RtDrive(abc.ABC):
         except TimeoutError:
             raise HalError(f"{self}: the line's thread does not answer") from None
 
-    # -------------------------------------------------------------------------- what is sent to it
+    # ------------------------------------------------------------------------------------ requests
     def stand_down(self) -> asyncio.Future[None]:
-        """Zero from now on, and the end of any arming; then power off. The future is shared: a
-        caller that waits for it shields it."""
+        """Make all set-points zero from now on, end any arming, and start a power-off. Return the
+        future of the power-off. Several callers share it: shield it when you wait for it."""
         self.stops += 1
         self._standing_down = self._thread.request_mode(self._index, Mode.STAND_DOWN)
         self._thread.allow_arming(self._index, 0)
@@ -243,9 +247,9 @@ class RtDrive(abc.ABC):
             raise HalError(f"{self}: stopped while it was being armed")
 
     async def enable(self, began: int) -> None:
-        """The first half of arming: zero in its set-point registers, its set-up still there, the
-        profile's own steps, until it reports that it is enabled. `began`: its stops when the arming
-        began. Raises HalError."""
+        """Do the first half of arming: write zero set-points, check the set-up, do the profile's
+        steps, wait until the drive reports that it is enabled. `began` is the value of `stops` when
+        the arming began. Raise HalError on failure, or if the drive was stood down since."""
 
         def check() -> None:
             self._check_arming(began, Mode.READY)
@@ -256,7 +260,8 @@ class RtDrive(abc.ABC):
         check()
 
     async def go(self, began: int) -> None:
-        """The second half of arming: from now on it gets the core's set-points. Raises HalError."""
+        """Do the second half of arming: from now on the drive gets the core's set-points. `began`
+        and errors as in `enable`."""
         self._check_arming(began, Mode.READY)
         await self._obeyed(self._thread.request_mode(self._index, Mode.ARMED))
         if self.mode is not Mode.ARMED:
@@ -268,12 +273,13 @@ class RtDrive(abc.ABC):
         self._check_arming(began, Mode.ARMED)
 
     async def write_register(self, register: str, steps: Sequence[Step]) -> float:
-        """Steps that write it and read it back; what is in force then. Raises HalError."""
+        """Run the steps that write a register and read it back. Return the value in force. Raise
+        HalError if a step fails."""
         await self._jobs.run("write", steps)
         return self.profile.registers[register].to_si(steps[0].value or 0)
 
     async def clear_faults(self) -> None:
-        """Power off, then the profile's steps. Raises DriveFault if a fault stays."""
+        """Power the drive off, then clear its faults. Raise DriveFault if a fault stays."""
         await asyncio.shield(self.stand_down())
         await self._jobs.run("clear", clear_steps(self._jobs.profile))
 
@@ -299,7 +305,7 @@ class SerialDrive(RtDrive):
         return self._line_hint()
 
     async def _present(self) -> None:
-        """Only an answer shows that it responds."""
+        """Do not wait: only an answer in the set-up shows that a serial drive responds."""
 
     def _why_unresponsive(self, report: DriveReport) -> str:
         return _last_failure(report, servo=self.profile.protocol == "dynamixel")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive's protocol must provide so that its line can run in C."""
+"""The interface that each protocol of drives implements, so that a line with it can run in C."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from motord_hal.realtime.table import LineFrame
 
 @dataclass(frozen=True, slots=True)
 class PlannedFrame:
-    """A request, its answer, and where registers stand in them: name → first byte."""
+    """A request and the form of its answer. `writes`: register in the request → first byte;
+    `reads`: register in the answer → first byte."""
 
     frame: LineFrame
     writes: Mapping[str, int]
@@ -22,49 +23,51 @@ class PlannedFrame:
 
 
 class DriveFrames(Protocol):
-    """One unit in its own protocol."""
+    """The frames of one unit in its own protocol."""
 
     joints: tuple[JointSpec, ...]
     profile: DriveProfile
     unit: int
 
     def cyclic(self) -> tuple[PlannedFrame, ...]:
-        """The exchanges of each cycle, set-points first; these set-points are zero."""
+        """Return the exchanges of each cycle, set-points first. In these frames they are zero."""
         ...
 
     def extra(self) -> tuple[PlannedFrame, ...]:
-        """Exchanges that may wait: one at a time, between cycles."""
+        """Return the exchanges that may wait. The line makes one at a time, between cycles."""
         ...
 
     def idle(self) -> tuple[LineFrame, ...]:
-        """What goes out in place of the first cyclic exchange while the drive is neither armed nor
-        coming to rest; empty: that one, with zeros."""
+        """Return the frame that replaces the first cyclic exchange while the drive is neither armed
+        nor coming to rest; empty: that exchange is sent with zeros."""
         ...
 
     def zero_steps(self) -> tuple[Step, ...]:
-        """Writes that set the set-point registers to zero."""
+        """Return the writes that set the set-point registers to zero, or, for positions, to the
+        present position."""
         ...
 
     def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
-        """Frames that write these registers (name → raw)."""
+        """Return the frames that write these registers (name → raw)."""
         ...
 
     def broadcasts(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
-        """The same to all units at once; no unit answers. Empty: the protocol has no such thing."""
+        """Return the frames that write these registers on all units at once, which no unit answers;
+        empty: the protocol has no broadcast."""
         ...
 
     def read(self, name: str) -> LineFrame:
-        """The frame that requests a register."""
+        """Return the frame that requests a register."""
         ...
 
     def raw(self, name: str, reply: bytes) -> int:
-        """The register's raw value in the answer to `read(name)`."""
+        """Return the register's raw value in the answer to `read(name)`."""
         ...
 
     def cycle_time_s(self) -> float:
-        """Wire time of one mean cycle."""
+        """Return the wire time of one mean cycle."""
         ...
 
     def slowest_cycle_s(self) -> float:
-        """Wire time of a cycle in which every reply begins at the last moment."""
+        """Return the wire time of a cycle in which every reply begins at the last moment."""
         ...

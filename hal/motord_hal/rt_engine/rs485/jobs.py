@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sequences of a drive's steps, made of requests in the acyclic slots of its line."""
+"""Jobs of a drive: sequences of steps, sent as requests in the acyclic slots of its line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from motord_hal.rt_engine.rs485.request_queue import Check, RequestQueue, always
 
 
 class DriveJobs:
-    """Jobs of drive number `index` of the line's table, one request at a time."""
+    """Runs the jobs of drive number `index` of the line's table, one request at a time."""
 
     def __init__(self, index: int, frames: DriveFrames, queue: RequestQueue) -> None:
         self.frames = frames
@@ -28,7 +28,7 @@ class DriveJobs:
 
     @property
     def request_limit_s(self) -> float:
-        """Longest time until a request is on the wire or dropped."""
+        """Longest time until a request is sent or dropped."""
         return self._queue.limit_s
 
     async def run(
@@ -39,8 +39,8 @@ class DriveJobs:
         urgent: bool = False,
         check: Check = always,
     ) -> None:
-        """Step by step; `check` is called right before each request. An urgent job is a power-off:
-        a refused write does not keep the later ones from being sent. Raises HalError."""
+        """Do the steps in order; call `check` right before each request. An urgent job is a
+        power-off: it goes on after a refused write. Raise HalError if a step fails."""
         refused: Refused | None = None
         for step in steps:
             if step.value is None:
@@ -78,12 +78,13 @@ class DriveJobs:
                 )
 
     async def read(self, register: str, *, check: Check = always) -> int:
-        """A register's raw value, now. Raises HalError."""
+        """Read a register now; return its raw value. Raise HalError if it cannot be read."""
         reply = await self.send(self.frames.read(register), check=check)
         return self.frames.raw(register, reply)
 
     async def send(self, frame: LineFrame, *, urgent: bool = False, check: Check = always) -> bytes:
-        """One request, repeated if it was lost. Raises HalError."""
+        """Send a request, up to `tries` times if there is no good reply. Return the reply, or raise
+        HalError."""
         turnaround_s = self.frames.profile.turnaround_s
         tries = 1
         while True:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial line whose cycle runs in C."""
+"""A serial line whose cycle runs in C."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.port import OpenPort, open_port
 
 SLOT_ALLOWANCE_S = 0.3
-"""Allowance beyond the slowest cycle: lost replies of this drive or of others, and the silence in
-which a late one may still come."""
+"""Time that a request may wait beyond the slowest cycle, for lost replies of any drive and for the
+silence in which a late reply may still come."""
 
 
 class RtLine(RtLineBase[LineReport, SerialDrive]):
-    """ports.Line for serial lines, engine "rt"."""
+    """Implements ports.Line for serial lines with the engine "rt"."""
 
     _thread: LineThread
 
@@ -56,10 +56,10 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         self._counters = LineCounters(1.0 / sum(drive.cycle_time_s() for drive in frames))
         self._port: OpenPort | None = None
         self._may_turn = 0
-        """Bit n: drive n was armed when the port was lost."""
+        """Bit n is 1 if drive n may have been moving when the port was lost."""
 
     def stats(self) -> LineStats:
-        """As ports.Line.stats, to this moment."""
+        """Implement `ports.Line.stats`."""
         report = None if self._report is None else self._thread.report()
         stats = self._counters.stats(report, self._thread)
         stats.reopened = self._reopened
@@ -104,7 +104,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         return report.exchanges > 0
 
     def _look(self) -> LineReport:
-        """As RtLineBase._look."""
+        """Extend `RtLineBase._look`: take the answers first."""
         self._queue.take_answers()
         report = self._take_report()
         if self._port is not None:
@@ -112,7 +112,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
         return report
 
     async def read_register(self, joint: str, register: str) -> float:
-        """As ports.Line.read_register."""
+        """Implement `ports.Line.read_register`."""
         drive = self._drive_of(joint)
         found = readable(drive.jobs.profile, register)
         self._check_open()

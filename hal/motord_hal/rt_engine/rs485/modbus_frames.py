@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One Modbus drive as frames for its line (frames.DriveFrames)."""
+"""The frames of a Modbus drive (implements frames.DriveFrames)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _VALUES_BEGIN = {Function.WRITE_SINGLE: 4, Function.WRITE_MULTIPLE: 7, Function.
 
 
 def modbus_frame(request: Request) -> LineFrame:
-    """A request with the form of its answer: the echo of a write (V1.1b3, 6.6, 6.12), the
+    """Return a request with the form of its answer: the echo of a write (V1.1b3, 6.6, 6.12), or the
     head of a read's data (6.3, 6.17)."""
     reads = request.function not in (Function.WRITE_SINGLE, Function.WRITE_MULTIPLE)
     alone = request.unit == BROADCAST_UNIT
@@ -42,7 +42,7 @@ def modbus_frame(request: Request) -> LineFrame:
 
 
 class ModbusFrames:
-    """DriveFrames of a Modbus drive, from the same plan as in the asyncio engine."""
+    """Implements DriveFrames for a Modbus drive, with the same plan as in the asyncio engine."""
 
     def __init__(self, plan: DrivePlan) -> None:
         self.plan = plan
@@ -53,7 +53,7 @@ class ModbusFrames:
         self.slowest_cycle_s = plan.slowest_cycle_s
 
     def cyclic(self) -> tuple[PlannedFrame, ...]:
-        """As DriveFrames.cyclic."""
+        """Implement `DriveFrames.cyclic`."""
         return tuple(
             PlannedFrame(
                 modbus_frame(exchange.request),
@@ -64,7 +64,7 @@ class ModbusFrames:
         )
 
     def extra(self) -> tuple[PlannedFrame, ...]:
-        """As DriveFrames.extra."""
+        """Implement `DriveFrames.extra`."""
         return tuple(
             PlannedFrame(modbus_frame(span.request(self.unit)), {}, _places(span))
             for span in self.plan.extra
@@ -94,7 +94,7 @@ class ModbusFrames:
         return self.profile.registers[name].decode(tuple(words))
 
     def _written(self, request: Request) -> dict[str, int]:
-        """Where the set-points are in a request that writes some."""
+        """Return set-point register → first byte in the request; empty if it writes none."""
         if not request.values:
             return {}
         both = request.function is Function.READ_WRITE

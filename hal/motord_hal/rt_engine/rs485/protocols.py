@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which protocol a line's drives use."""
+"""Select the frames of a drive by the protocol of its line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from motord_hal.servo.packets import KINDS as SERVO_KINDS
 
 
 def frames_of(spec: LineSpec) -> list[DriveFrames]:
-    """One for each unit. Raises ProfileError for joints that cannot share the line."""
+    """Return the frames of each unit on a line. Raise ProfileError if joints cannot share it."""
     for joint in spec.joints:
         if joint.profile.protocol != spec.kind:
             raise ProfileError(

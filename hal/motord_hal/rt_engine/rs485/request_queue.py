@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests outside the cycle: one a drive at a time, each sent once, in time or not at all."""
+"""The queue of requests outside the cycle: one for each drive at a time, each sent once, or not at
+all if it is too late."""
 
 from __future__ import annotations
 
@@ -16,19 +17,20 @@ from motord_hal.realtime.table import LineFrame, Seal
 from motord_hal.servo.packets import DYNAMIXEL_ERRORS
 
 ANSWER_ALLOWANCE_S = 1.0
-"""How much longer than the line a caller waits for an answer: the event loop may be late."""
+"""Time that a caller waits beyond the line's own limit, because the event loop may be late."""
 
 Check = Callable[[], None]
-"""Raises HalError if a request must not be made any more."""
+"""A function that raises HalError if a request must not be made any more."""
 
 
 def always() -> None:
-    """The Check of a request that is always allowed."""
+    """Do nothing: the Check of a request that is always allowed."""
 
 
 class _Turn:
-    """Turns to send a request: one at a time, urgent requests first, else in their order. A turn is
-    handed over, so that a caller that returns at once waits behind those already waiting."""
+    """The turn to send a request to a drive. One caller has it at a time; urgent requests go first,
+    the others in their order. A turn is passed on directly, so that a caller that comes back at
+    once waits behind those that already wait."""
 
     def __init__(self) -> None:
         self._taken = False
@@ -36,7 +38,7 @@ class _Turn:
         self._others: deque[asyncio.Future[None]] = deque()
 
     async def take(self, limit_s: float, *, urgent: bool) -> bool:
-        """False: it did not come within the limit."""
+        """Wait for the turn, `limit_s` at most. Return False if it did not come."""
         if not self._taken:
             self._taken = True
             return True
@@ -50,12 +52,12 @@ class _Turn:
         finally:
             if not mine.done():
                 waiting.remove(mine)
-            elif not kept:  # it came together with the cancellation
+            elif not kept:  # the turn came together with the cancellation
                 self.give()
         return kept
 
     def give(self) -> None:
-        """Hand the turn over."""
+        """Pass the turn to the next caller that waits; without one it is free."""
         for waiting in (self._urgent, self._others):
             if waiting:
                 waiting.popleft().set_result(None)
@@ -64,21 +66,21 @@ class _Turn:
 
 
 class RequestQueue:
-    """The queue of one line's thread, seen from asyncio."""
+    """Sends requests from asyncio to the queue of one line's thread, and receives the answers."""
 
     def __init__(self, name: str, thread: LineThread, within_s: float) -> None:
         self._name = name
         self._thread = thread
         self._within_s = within_s
-        """How long a request may wait for its slot; then it is dropped."""
+        """Longest time that a request waits for its slot; then it is dropped."""
         self._ids = itertools.count(1)
         self._waiting: dict[int, asyncio.Future[Answer]] = {}
         self._turns: defaultdict[int, _Turn] = defaultdict(_Turn)
-        """By drive."""
+        """Number of the drive → its turn."""
 
     @property
     def limit_s(self) -> float:
-        """Longest time from the request to its sending."""
+        """Longest time until a request is sent or dropped."""
         return self._within_s
 
     async def send(
@@ -90,11 +92,12 @@ class RequestQueue:
         urgent: bool = False,
         check: Check = always,
     ) -> bytes:
-        """The reply. Raises NoReply, BadReply, Refused, PortError, and what `check` raises.
+        """Send a request and return the reply. Raise NoReply, BadReply, Refused, PortError, or the
+        error of `check`.
 
-        A request whose caller has given up may still be in the queue, and the next one of its drive
-        waits for it: a later request is never sent earlier. `check` is called when nothing can come
-        between it and the request: an urgent one may have overtaken it before."""
+        A request whose caller has given up may still be in the queue. The next request to the same
+        drive waits for it, so that no later request is sent earlier. `check` is called at the last
+        moment, because an urgent request may have gone before this one."""
         limit_s = self._within_s + ANSWER_ALLOWANCE_S
         turn = self._turns[drive]
         if not await turn.take(limit_s, urgent=urgent):
@@ -114,7 +117,7 @@ class RequestQueue:
     def _hand_over(
         self, drive: int, frame: LineFrame, turnaround_s: float, *, urgent: bool
     ) -> tuple[LineRequest, asyncio.Future[Answer]]:
-        """Pass it to the thread. Raises NoReply if the queue is full."""
+        """Pass a request to the thread. Raise NoReply if the queue is full."""
         request = LineRequest(
             id=next(self._ids),
             drive=drive,
@@ -130,14 +133,14 @@ class RequestQueue:
         return request, future
 
     def take_answers(self) -> None:
-        """Pass answers to their callers."""
+        """Take the answers from the thread and pass them to their callers."""
         while (answer := self._thread.take_answer()) is not None:
             future = self._waiting.pop(answer.id, None)
             if future is not None:
                 future.set_result(answer)
 
     def lose(self, error: HalError) -> None:
-        """The line is lost: no caller gets an answer any more."""
+        """Raise `error` in all callers that wait, because the line is lost."""
         for future in self._waiting.values():
             future.set_exception(error)
             future.exception()  # its caller may have given up
@@ -165,7 +168,7 @@ def _reply(name: str, request: LineRequest, answer: Answer) -> bytes:
 
 
 def exception_text(code: int, *, servo: bool = False) -> str:
-    """A Modbus exception code in words, or a Dynamixel servo's error number."""
+    """Return the text for a Modbus exception code, or for the error number of a Dynamixel servo."""
     if servo:
         return f"{DYNAMIXEL_ERRORS.get(code, 'unknown error')} (error {code})"
     return f"{EXCEPTION_TEXT.get(code, 'unknown exception')} (exception {code})"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One RoboClaw as frames for its line (frames.DriveFrames): motord_hal.roboclaw.codec's packets."""
+"""The frames of a RoboClaw (implements frames.DriveFrames): packets of roboclaw.codec."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from motord_hal.roboclaw import codec
 from motord_hal.rt_engine.rs485.frames import PlannedFrame
 
 _HEAD_BYTES = 2
-"""Address and command, before the content of a write."""
+"""Bytes of address and command, which precede the content of a write."""
 _WORD_BYTES = 2
 
 
 def packet_frame(request: Request) -> LineFrame:
-    """A packet with the form of its answer: that names no unit, so it must be all that comes."""
+    """Return a packet with the form of its answer. The answer names no unit, so no other byte may
+    come with it."""
     reads = request.function is Function.READ_HOLDING
     return LineFrame(
         request=codec.build(request),
@@ -33,7 +34,8 @@ def packet_frame(request: Request) -> LineFrame:
 
 
 class RoboclawFrames:
-    """One controller with one or two motors, from the plan of the asyncio engine."""
+    """Implements DriveFrames for one controller with one or two motors, with the plan of the
+    asyncio engine."""
 
     def __init__(self, joints: Iterable[JointSpec], gap_s: float, wire_time_s: WireTime) -> None:
         self._plan = DrivePlan(
@@ -48,7 +50,7 @@ class RoboclawFrames:
         self.slowest_cycle_s = self._plan.slowest_cycle_s
 
     def cyclic(self) -> tuple[PlannedFrame, ...]:
-        """As DriveFrames.cyclic."""
+        """Implement `DriveFrames.cyclic`."""
         return tuple(
             PlannedFrame(
                 packet_frame(exchange.request),
@@ -59,14 +61,15 @@ class RoboclawFrames:
         )
 
     def extra(self) -> tuple[PlannedFrame, ...]:
-        """As DriveFrames.extra."""
+        """Implement `DriveFrames.extra`."""
         return tuple(
             PlannedFrame(packet_frame(span.request(self.unit)), {}, _places(span))
             for span in self._plan.extra
         )
 
     def idle(self) -> tuple[LineFrame, ...]:
-        """Speeds of zero hold the wheels, duties of zero release them."""
+        """Return a frame with duties of zero, which release the wheels; speeds of zero would hold
+        them."""
         first = self._plan.cyclic(self._plan.setpoints({}))[0].request
         if first.address >> 8 != codec.SPEEDS:
             return ()
@@ -79,7 +82,7 @@ class RoboclawFrames:
         return tuple(map(packet_frame, self._plan.writes(raw)))
 
     def broadcasts(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
-        """Every packet is for one address."""
+        """Return no frames: every packet is for one address."""
         del raw
         return ()
 
@@ -94,7 +97,7 @@ class RoboclawFrames:
         return ReadRange(register.address, register.type.words, (register,)).request(self.unit)
 
     def _written(self, request: Request) -> dict[str, int]:
-        """Where the set-points are in a packet that writes some."""
+        """Return set-point register → first byte in the packet; empty if it writes none."""
         if not request.values:
             return {}
         names = (self._plan.channel(joint).setpoint for joint in self.joints)
@@ -108,7 +111,7 @@ class RoboclawFrames:
 
 
 def _byte_of(register: Register) -> int:
-    """The register's byte in the content of its command."""
+    """Return the first byte of the register in the content of its command."""
     return _WORD_BYTES * (register.address & 0xFF)
 
 
@@ -117,7 +120,8 @@ def _places(span: ReadRange) -> dict[str, int]:
 
 
 def _narrowed(profile: DriveProfile) -> DriveProfile:
-    """Content of one byte is a byte on the wire; code without bytes has it as a word."""
+    """Return the profile with the type U8 for registers whose command carries one byte; profile and
+    codec have them as words."""
     sizes = codec.READ_BYTES | codec.WRITE_BYTES
     registers = {
         name: replace(one, type=RegisterType.U8) if sizes.get(one.address >> 8) == 1 else one

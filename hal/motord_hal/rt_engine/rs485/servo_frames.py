@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One bus servo as frames for its line (frames.DriveFrames), and the cycle for all of them."""
+"""The frames of a bus servo (implements frames.DriveFrames), and the cycle of all servos."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from motord_hal.servo.packets import (
 )
 
 EXTRA_EVERY_CYCLES = 8
-"""Cycles between reads of torque, mode, watchdog and the like: servos have several times the cycles
-of a Modbus drive."""
+"""Number of cycles between two reads of torque, mode, watchdog and the like. Servos have several
+times as many cycles a second as a Modbus drive."""
 _SEALS = {"feetech": Seal.SUM, "dynamixel": Seal.STUFFED}
 _CYCLIC_HOLE_BYTES = 4
-"""A gap of other bytes is read too if it is not longer than this."""
+"""Longest gap of unused bytes that a cyclic exchange reads along with the registers around it."""
 _EXTRA_HOLE_BYTES = 30
-"""Of extra exchanges: each one costs a request and a reply's head."""
+"""The same for extra exchanges: another exchange would cost a request and the head of a reply."""
 
 
 class _Span:
-    """Bytes that one request reads."""
+    """The adjacent bytes that one request reads."""
 
     def __init__(self, registers: Sequence[Register]) -> None:
         self.registers = tuple(registers)
@@ -42,7 +42,7 @@ class _Span:
 
 
 class ServoFrames:
-    """One unit, with one motor."""
+    """Implements DriveFrames for one unit with one motor."""
 
     def __init__(self, joints: Iterable[JointSpec], gap_s: float, wire_time_s: WireTime) -> None:
         self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
@@ -54,13 +54,13 @@ class ServoFrames:
         fast, slow = wanted_registers(self.profile, self.joints)
         channel = self.profile.channels[self.joints[0].channel]
         moving = [self.profile.registers[n] for n in (channel.position, channel.velocity) if n]
-        # a servo that measures no motion: its other values, which show how old its answer is
+        # of a servo that measures no motion, other values are read: they show its answer's age
         self._cyclic = _around(moving or fast[:1] or slow[-1:], [*fast, *slow])
         rest = [r for r in dict.fromkeys([*fast, *slow]) if r not in self._cyclic.registers]
         self._extra = _spans(rest, _EXTRA_HOLE_BYTES)
 
     def cyclic(self) -> tuple[PlannedFrame, ...]:
-        """As DriveFrames.cyclic: what is written and what is read."""
+        """Implement `DriveFrames.cyclic`: one exchange writes the set-point, one reads."""
         setpoint = self._setpoint()
         head = self._packets.head_bytes + 1 + len(self._packets.number(0))
         written = self._write(setpoint.address, encode(setpoint, 0))
@@ -78,7 +78,7 @@ class ServoFrames:
         return present or (Step(register=self._setpoint().name, value=0),)
 
     def writes(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
-        """One frame a register."""
+        """Return one frame for each register."""
         return tuple(self._written(name, value, self.unit) for name, value in raw.items())
 
     def broadcasts(self, raw: Mapping[str, int]) -> tuple[LineFrame, ...]:
@@ -92,30 +92,31 @@ class ServoFrames:
 
     # --------------------------------------------------------------------------------------- times
     def cycle_time_s(self) -> float:
-        """As if the servo were alone on its line."""
+        """Return the wire time of one mean cycle, as if the servo were alone on its line."""
         return self.heads_s() + self.share_s()
 
     def heads_s(self) -> float:
-        """Of a cycle of all servos: the two requests, without their parts for each servo."""
+        """Return the wire time of the two requests in a cycle of all servos, without their parts
+        for each servo."""
         heads = 2 * (self._group_head_bytes() + self._packets.seal_bytes)
         return self._wire_time_s(heads) + self._gap_s
 
     def share_s(self) -> float:
-        """What it adds to such a cycle: its set-point, its reply, and at times its extra
-        exchange."""
+        """Return the wire time that this servo adds to such a cycle: its set-point, its reply, and
+        its mean share of extra exchanges."""
         asked = size_bytes(self._setpoint()) + 2
         extra_s = max(map(self._exchange_s, self._extra), default=0.0)
         cyclic_s = self._wire_time_s(asked + self._reply_bytes(self._cyclic.count))
         return cyclic_s + extra_s / EXTRA_EVERY_CYCLES
 
     def slowest_cycle_s(self) -> float:
-        """Wire time of a cycle in which every reply begins at the last moment."""
+        """Implement `DriveFrames.slowest_cycle_s`."""
         exchanges = [self._cyclic, *self._extra[:1]]
         return sum(self._exchange_s(each) + self.profile.turnaround_s for each in exchanges)
 
     def group(self) -> LineGroup | None:
-        """The cycle of all servos that are written and read at the same addresses as this one.
-        None: its series has no sync read."""
+        """Return the sync write and sync read for all servos that are written and read at the same
+        addresses as this one; None: its series has no sync read."""
         if has_no_sync_read(self.profile):
             return None
         setpoint, packets = self._setpoint(), self._packets
@@ -125,7 +126,7 @@ class ServoFrames:
             read=self._group_head(Instruction.SYNC_READ, self._cyclic.address, self._cyclic.count),
         )
 
-    # ----------------------------------------------------------------------------------- in detail
+    # --------------------------------------------------------------------------------------- parts
     def _group_head(self, code: Instruction, address: int, count: int) -> bytes:
         numbers = self._packets.number(address) + self._packets.number(count)
         return self._packets.build(BROADCAST_UNIT, code, numbers)[: -self._packets.seal_bytes]
@@ -162,7 +163,7 @@ class ServoFrames:
     def _frame(
         self, code: int, parameters: bytes, count: int, unit: int | None = None
     ) -> LineFrame:
-        """A request, and the status with so many bytes that answers it."""
+        """Return a request with the form of its answer, a status with `count` bytes of data."""
         unit = self.unit if unit is None else unit
         answered = unit != BROADCAST_UNIT
         status = self._packets.build_status(unit, 0, bytes(count))
@@ -177,13 +178,14 @@ class ServoFrames:
 
 
 def group_of(drives: Sequence[ServoFrames]) -> LineGroup | None:
-    """The reads and writes that all of them share; None: they differ."""
+    """Return the sync write and read that all servos share; None: they differ or lack it."""
     groups = {each.group() for each in drives}
     return groups.pop() if len(groups) == 1 else None
 
 
 def cycle_of_all_s(drives: Sequence[ServoFrames]) -> float:
-    """Wire time of a mean cycle; of servos that differ, one after the other."""
+    """Return the wire time of a mean cycle of all servos. Without a common sync read they are
+    cycled one after the other."""
     if group_of(drives) is None:
         return sum(each.cycle_time_s() for each in drives)
     return drives[0].heads_s() + sum(each.share_s() for each in drives)
@@ -194,7 +196,8 @@ def _end(register: Register) -> int:
 
 
 def _around(begin: Sequence[Register], others: Iterable[Register]) -> _Span:
-    """One span with these registers, and those that lie near."""
+    """Return one span with the registers of `begin`, and with those of the others that are near
+    enough."""
     inside = sorted(begin, key=lambda r: r.address)
     for register in sorted(dict.fromkeys(others), key=lambda r: r.address):
         if register in inside:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the drives of a line to the table that its thread in C runs: pure.
+"""Makes the table for the thread of a serial line in C from the drives on the line. Pure.
 
-Signs, gears and units are those of `motord_hal.modbus.plan`, which the asyncio engine computes at
-each cycle; here they become one factor a number.
+Signs, gears and units are those of `motord_hal.modbus.plan`, with which the asyncio engine computes
+in each cycle; here they become one factor for each number.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ _ECHO = MappingProxyType({Echo.NO: 0, Echo.YES: 1, Echo.AUTO: 2})
 
 
 def line_table(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineTable:
-    """The table of a line. C checks it once more and names the first bad field."""
+    """Return the table of a line. C checks it once more and names the first bad field."""
     bits = character_bits(spec.parity, spec.stop_bits)
     return LineTable(
-        echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # it has no echo
+        echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # a RoboClaw's line has no echo
         character_ns=bits * _NS_PER_S / spec.baudrate,
         gap_ns=round(line_gap_s(spec) * _NS_PER_S),
         setpoint_timeout_ns=round(spec.setpoint_timeout_s * _NS_PER_S),
@@ -71,8 +71,8 @@ def _group(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineGroup:
 
 
 def _broadcast_stop(drives: Sequence[DriveFrames]) -> tuple[LineFrame, ...]:
-    """Only if all are of one kind: the register that stops one drive may mean something else to
-    another."""
+    """Return the frames that stop all drives at once; empty unless all drives have the same
+    profile, because the register that stops one drive may mean something else to another."""
     first = drives[0]
     alike = all(frames.profile.name == first.profile.name for frames in drives)
     if not alike or not first.profile.broadcast_stop:
@@ -86,7 +86,7 @@ def _broadcast_stop(drives: Sequence[DriveFrames]) -> tuple[LineFrame, ...]:
 
 
 def drive_table(frames: DriveFrames, spec: LineSpec) -> LineDrive:
-    """One drive of it."""
+    """Return the entry of one drive in the table of its line."""
     profile, joints = frames.profile, frames.joints
     rates_hz = [joint.cycle_hz for joint in joints if joint.cycle_hz is not None]
     given_s = [joint.reply_timeout_s for joint in joints if joint.reply_timeout_s is not None]
@@ -111,7 +111,7 @@ def drive_table(frames: DriveFrames, spec: LineSpec) -> LineDrive:
 
 
 def step_frames(frames: DriveFrames, steps: Iterable[Step]) -> tuple[LineFrame, ...]:
-    """The writes of a sequence, in order; waits are left out."""
+    """Return the writes of a sequence, in order, without its waits."""
     return tuple(
         frame
         for step in steps
@@ -121,12 +121,13 @@ def step_frames(frames: DriveFrames, steps: Iterable[Step]) -> tuple[LineFrame, 
 
 
 def _probe(cyclic: Sequence[PlannedFrame]) -> int:
-    """1 + the first exchange that only reads; 0: C chooses one."""
+    """Return 1 + the number of the first exchange that only reads, to poll an unresponsive drive;
+    0: there is none, and C selects one."""
     return next((n for n, planned in enumerate(cyclic, 1) if not planned.writes), 0)
 
 
 def _extra(frames: DriveFrames) -> list[PlannedFrame]:
-    """The exchange with the enabled state comes first."""
+    """Return the extra exchanges, the one with the enabled state first."""
     place = frames.profile.enabled
     return sorted(frames.extra(), key=lambda p: place is None or place.register not in p.reads)
 
@@ -142,7 +143,7 @@ def _exchange(frames: DriveFrames, planned: PlannedFrame, kept: tuple[Step, ...]
     )
 
 
-# ---------------------------------------------------------------------------------- set-points out
+# --------------------------------------------------------------------------------- sent set-points
 def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineSetpoint]:
     for joint in frames.joints:
         channel = frames.profile.channels[joint.channel]
@@ -171,7 +172,7 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
 
 
 def form_of(profile: DriveProfile, register: Register, *, signed: bool = True) -> Form:
-    """The register's form in the drive's frames."""
+    """Return the form of the register's value in the drive's frames."""
     name = register.type.value
     if not signed and name.startswith("i"):
         name = f"u{name[1:]}"
@@ -186,7 +187,8 @@ def si_per_raw(register: Register) -> float:
 
 
 def raw_limits(register: Register) -> tuple[float, float]:
-    """As Register.from_si holds a value within its own limits and those of its type."""
+    """Return the least and greatest raw value, from the limits of the register and of its type, as
+    Register.from_si applies them."""
     low, high = register.raw_range
     given = (register.minimum, register.maximum)
     scaled = [None if limit is None else limit / register.scale for limit in given]
@@ -208,7 +210,7 @@ def _directions(frames: DriveFrames) -> Iterable[LineDirection]:
     for joint in _direction_joints(frames):
         channel = frames.profile.channels[joint.channel]
         direction = channel.direction
-        assert direction is not None  # _direction_joints
+        assert direction is not None  # _direction_joints has checked it
         levels = (direction.rest, direction.forward, direction.reverse)
         rest, forward, reverse = (frames.writes({direction.register: raw})[0] for raw in levels)
         yield LineDirection(
@@ -221,7 +223,7 @@ def _directions(frames: DriveFrames) -> Iterable[LineDirection]:
         )
 
 
-# -------------------------------------------------------------------------------------- feedback in
+# -------------------------------------------------------------------------------- received feedback
 def _joint_fields(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineField]:
     profile = frames.profile
     for joint in frames.joints:
@@ -259,7 +261,8 @@ def _joint_field(
 
 
 def _counter(register: Register, profile: DriveProfile) -> tuple[Form, int]:
-    """A counter goes to the core unsigned, with its own bits only."""
+    """Return the form and mask of a position counter. The core gets it unsigned, and only the bits
+    that count."""
     form, bits = form_of(profile, register, signed=False), profile.counter_bits
     whole = (1 << form.bits) - 1
     mask = register.mask or whole

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What made ticks late."""
+"""The search for what made ticks late."""

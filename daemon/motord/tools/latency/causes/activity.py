@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the kernel counts while the loop is measured: interrupts, stolen time and frequency of each
-processor, and what a thread is and does. Read from files; nothing is switched."""
+"""Reads from files what the kernel counts while the loop is measured: interrupts, stolen time and
+frequency changes of each processor, and the data of threads. It changes no setting."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import TypeAlias
 
 Counts: TypeAlias = dict[tuple[str, int, str], int]
-"""By kind, processor and name."""
+"""(Kind, processor, name) → count."""
 KERNEL_THREADS_PARENT = 2
-"""kthreadd, which starts all threads of the kernel."""
+"""Process number of kthreadd, which starts all threads of the kernel."""
 
 
 def counts(root: Path = Path("/")) -> Counts:
-    """Counters that only grow, by (kind, processor, name): `interrupt`, `softirq` by number,
-    `steal` in clock ticks, `frequency` in changes."""
+    """Read counters that only grow. The kinds are `interrupt` and `softirq` (number of them),
+    `steal` (clock ticks) and `frequency` (number of changes)."""
     found: Counts = {}
     for kind, file in (("interrupt", "interrupts"), ("softirq", "softirqs")):
         found |= _table(kind, _text(root / "proc" / file))
@@ -34,7 +34,7 @@ def counts(root: Path = Path("/")) -> Counts:
 
 
 def _table(kind: str, text: str) -> Counts:
-    """/proc/interrupts and /proc/softirqs: a column for each processor, then a description."""
+    """Parse /proc/interrupts or /proc/softirqs: a column for each processor, then a description."""
     head, *rows = text.splitlines() or [""]
     cpus = [int(word[3:]) for word in head.split()]
     found: Counts = {}
@@ -51,7 +51,7 @@ def _table(kind: str, text: str) -> Counts:
 
 @dataclass(slots=True)
 class Thread:
-    """One thread that had a processor, as it was when it was first and last looked at."""
+    """A thread that had a processor, with its data at the first and the last look."""
 
     thread: int
     process: int
@@ -60,25 +60,26 @@ class Thread:
     priority: int
     of_kernel: bool
     first: tuple[float, int] = (0.0, 0)
-    """When (s), and page faults so far."""
+    """Time of the first look in s, and the number of page faults until then."""
     last: tuple[float, int] = (0.0, 0)
 
     @property
     def faults_per_s(self) -> float:
-        """0 before the second look."""
+        """Page faults a second between the two looks; 0 before the second look."""
         spent_s = self.last[0] - self.first[0]
         return (self.last[1] - self.first[1]) / spent_s if spent_s > 0 else 0.0
 
 
 @dataclass(slots=True)
 class Threads:
-    """Those that were looked at, by number; one that had ended before stays unknown."""
+    """Number → thread, for the threads that were looked at. A thread that ended before its first
+    look stays unknown."""
 
     root: Path = Path("/")
     known: dict[int, Thread] = field(default_factory=dict)
 
     def look(self, thread: int) -> Thread | None:
-        """At one thread, now."""
+        """Read the data of a thread now. Return what is known of it; None: nothing."""
         folder = self.root / f"proc/{thread}"
         status = _text(folder / "status")
         # the fields behind the name, which may hold spaces and brackets: proc(5)
@@ -107,7 +108,7 @@ _POLICIES = {
 
 
 def _text(path: Path) -> str:
-    """Empty where it is missing or has just gone."""
+    """Return a file's text; empty if it is missing or has just disappeared."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:

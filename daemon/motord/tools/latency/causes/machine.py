@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The machine that a measurement belongs to: what makes two machines' numbers differ, not whose it
-is."""
+"""Facts about the machine of a measurement that can make its numbers differ from those of another
+machine. They do not identify the machine or its owner."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 
 def machine_facts() -> dict[str, Any]:
-    """Kernel, processor, and whether a hypervisor is below. No host name."""
+    """Return facts about kernel and processor, and whether a hypervisor is below; no host name."""
     cpuinfo = _text("/proc/cpuinfo")
     return {
         "kernel": platform.release(),
@@ -30,25 +30,27 @@ def machine_facts() -> dict[str, Any]:
 
 
 def is_preempt_rt(version: str, sys_kernel_realtime: str) -> bool:
-    """Newer RT kernels say so in `uname -v`, older ones in /sys/kernel/realtime, some in both."""
+    """Whether the kernel is PREEMPT_RT. Newer kernels show it in `uname -v`, older ones in
+    /sys/kernel/realtime, some in both."""
     return "PREEMPT_RT" in version.replace(" ", "_") or sys_kernel_realtime.strip() == "1"
 
 
 def cpu_model(cpuinfo: str, device_tree_model: str) -> str:
-    """Boards name themselves in the device tree, PCs in /proc/cpuinfo."""
+    """Return the model of the processor or board: boards have it in the device tree, PCs in
+    /proc/cpuinfo."""
     named = [line for line in cpuinfo.splitlines() if line.startswith("model name")]
     return device_tree_model.strip("\0\n ") or (named[0].split(":", 1)[1].strip() if named else "")
 
 
 def is_virtual(cpuinfo: str) -> bool:
-    """x86 shows the hypervisor as a processor flag; elsewhere this stays False."""
+    """Whether there is a hypervisor, by a processor flag of x86; False on other processors."""
     flags = [line for line in cpuinfo.splitlines() if line.startswith("flags")]
     return bool(flags) and "hypervisor" in flags[0].split()
 
 
 @dataclass(frozen=True, slots=True)
 class CpuTimes:
-    """Since boot, in clock ticks, all processors together."""
+    """Times of all processors together since boot, in clock ticks."""
 
     total: int
     steal: int
@@ -59,8 +61,8 @@ class CpuTimes:
 
     @classmethod
     def parse(cls, proc_stat: str) -> CpuTimes:
-        """First line of /proc/stat, proc(5): cpu user nice system idle iowait irq softirq steal;
-        guest time that follows is in user already."""
+        """Parse the first line of /proc/stat (proc(5)): cpu user nice system idle iowait irq
+        softirq steal. The guest time that follows is already contained in user."""
         fields = [int(word) for word in proc_stat.split("\n", 1)[0].split()[1:9]]
         return cls(sum(fields), fields[7] if len(fields) > 7 else 0)
 
@@ -69,7 +71,7 @@ class CpuTimes:
 
 
 def _text(path: str) -> str:
-    """Empty where this kernel has no such file."""
+    """Return a file's text; empty if this kernel has no such file."""
     try:
         return Path(path).read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What made ticks late: each late tick's time is charged to the thread that had the processor
-meanwhile, and what that thread did is the reason that is given. Pure; docs/latency.md has the
-rules."""
+"""Finds what made ticks late. The lateness of each tick is charged to the threads that had the
+processor meanwhile; the activity of such a thread is reported as the reason. Pure; docs/latency.md
+has the rules."""
 
 from __future__ import annotations
 
@@ -15,20 +15,22 @@ from motord.tools.latency.causes.activity import Counts, Thread
 from motord.tools.latency.causes.switches import Switches
 
 FORKS_PER_S, FAULTS_PER_S = 5.0, 500.0
-"""A thread that does more of it is named by it."""
+"""Rates from which forks or page faults are reported as the reason why a thread delays the loop."""
 INTERRUPTS_RATIO, INTERRUPTS_PER_S = 3.0, 200.0
-"""An interrupt that comes so much more often in windows with late ticks is a suspect."""
+"""An interrupt is a suspect if it comes this many times as often in windows with late ticks as in
+others, and at least at this rate."""
 SHARE_LEAST = 0.02
 HELD_PART = 0.25
-"""Other threads that had the processor for a smaller part of a tick's lateness did not cause it."""
+"""Least part of a tick's lateness for which other threads must have had the processor to be its
+cause."""
 IDLE = 0
-"""The thread number of a processor without work."""
+"""Number of the thread that a processor without work runs."""
 REAL_TIME = ("SCHED_FIFO", "SCHED_RR")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Suspect:
-    """`share`: part of the late time that it is charged with."""
+    """A possible cause. `share` is the part of all lateness that is charged to it."""
 
     kind: str
     name: str
@@ -36,7 +38,7 @@ class Suspect:
     cure: str
     share: float
     process: int | None = None
-    """Of a program; None: not a program."""
+    """Process number, if the suspect is a program; else None."""
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -47,8 +49,9 @@ class Suspect:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Of one measurement. `tags`: late ticks with a page fault, a preemption, a change of CPU, or
-    in which the thread was ready and had no CPU. `stages`: by the stage that took longest."""
+    """The result of the search in one measurement. `tags` counts the late ticks with a page fault,
+    with a preemption, with a change of CPU, and those in which the thread was ready but had no CPU.
+    `stages` counts the late ticks by their longest stage."""
 
     late_from_us: float
     late_ticks: int
@@ -58,11 +61,11 @@ class Verdict:
     tags: Mapping[str, int]
     suspects: tuple[Suspect, ...]
     note: str = ""
-    """Why it is not known which threads had the processors."""
+    """Reason why it is not known which threads had the processors; empty: it is known."""
 
     @property
     def culprit(self) -> Suspect | None:
-        """What is charged with most of it; None: no tick was late."""
+        """The suspect with the largest share; None: there is no suspect."""
         return self.suspects[0] if self.suspects else None
 
     @property
@@ -79,18 +82,19 @@ class Verdict:
 
 @dataclass(slots=True)
 class Case:
-    """Collects windows of a measurement. `loop_thread`, `priority`: of the loop; 0: SCHED_OTHER."""
+    """Collects the windows of a measurement. `loop_thread` and `priority` are those of the loop;
+    priority 0: SCHED_OTHER."""
 
     loop_thread: int
     priority: int
     late_from_us: float
     threads: dict[int, Thread] = field(default_factory=dict)
     held_ns: dict[int, float] = field(default_factory=lambda: defaultdict(float))
-    """Lateness that each thread is charged with."""
+    """Thread → lateness charged to it."""
     own_ns: Counter[str] = field(default_factory=Counter)
-    """Lateness that no thread is charged with, by kind."""
+    """Kind of cause → lateness that is charged to no thread."""
     cpus: Counter[int] = field(default_factory=Counter)
-    """On which the loop was late."""
+    """CPU → number of ticks that were late on it."""
     stages: Counter[str] = field(default_factory=Counter)
     tags: Counter[str] = field(default_factory=Counter)
     late_counts: Counter[tuple[str, int, str]] = field(default_factory=Counter)
@@ -102,8 +106,8 @@ class Case:
     def add(
         self, late: Sequence[LateTick], grown: Counts, span_s: float, switches: Switches | None
     ) -> set[int]:
-        """One window: its late ticks, and what the kernel's counters grew by. Returns the threads
-        that had a processor in them."""
+        """Add a window: its late ticks, and the growth of the kernel's counters. Return the threads
+        that are charged for these ticks."""
         if late:
             self.late_s += span_s
         else:
@@ -133,7 +137,8 @@ class Case:
         self.tags["ready without a CPU"] += (tick.ready_ns or 0) > sum(tick.stage_ns) // 2
 
     def _others(self, tick: LateTick, switches: Switches | None) -> dict[int, int]:
-        """Time that other threads had the loop's processor, from the deadline to the tick's end."""
+        """Return thread → time that it had the loop's processor between the tick's deadline and its
+        end, for threads other than the loop's."""
         if switches is None:
             return {UNKNOWN: min(tick.ready_ns or 0, sum(tick.stage_ns))}
         shares = Counter(switches.held(tick.cpu_before, tick.deadline_ns, tick.woken_ns))
@@ -142,7 +147,7 @@ class Case:
 
     # -------------------------------------------------------------------------------- the verdict
     def verdict(self, seconds: float, switches: Switches | None, lost: int, note: str) -> Verdict:
-        """Of all windows."""
+        """Return the result for all windows."""
         whole_ns = max(sum(self.held_ns.values()) + sum(self.own_ns.values()), 1)
         charged: dict[tuple[str, int], float] = {}
         for thread, span_ns in self.held_ns.items():
@@ -164,7 +169,8 @@ class Case:
         )
 
     def _place(self, thread: int, switches: Switches | None, seconds: float) -> tuple[str, int]:
-        """(kind, process or thread) by which the time of a thread is summed."""
+        """Return the key by which the lateness of a thread is summed: (kind of cause, process or
+        thread)."""
         if thread == UNKNOWN or switches is None:
             return "unknown", UNKNOWN
         known = self.threads.get(thread)
@@ -224,7 +230,8 @@ class Case:
         )  # fmt: skip
 
     def _interrupt(self) -> str:
-        """The one that comes more often when ticks are late, on a CPU on which they are; or ""."""
+        """Return the interrupt that comes more often when ticks are late, on a CPU with late ticks;
+        "": there is none."""
         worst = ("", 0.0)
         for (kind, cpu, name), count in self.late_counts.items():
             if kind not in ("interrupt", "softirq") or cpu not in self.cpus or self.calm_s == 0.0:
@@ -238,7 +245,7 @@ class Case:
 
 
 def _own_kind(tick: LateTick, *, stolen: bool) -> str:
-    """Of a late tick whose processor no other thread had."""
+    """Return the kind of cause of a late tick for which no other thread is charged."""
     if tick.page_faults > 0:
         return "page faults of the loop"
     if stolen:
@@ -301,4 +308,4 @@ _WORDS = {
         "lower the loop's rate; look at the stage that took longest",
     ),
 }
-"""Of each kind: what it is, and what to do."""
+"""Kind of cause → its description, and what the user can do."""

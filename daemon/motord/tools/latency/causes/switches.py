@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which thread had which processor when, and which process started which, by the kernel's own
-records (perf_event_open(2)): context switches, forks and names of all processors."""
+"""Reads the kernel's records of context switches, forks and thread names on all processors
+(perf_event_open(2)). They show which thread had a processor when, and which process started which.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from typing import Self
 _TYPE_SOFTWARE, _COUNT_SW_DUMMY = 1, 9
 _SAMPLE_TID_TIME_CPU = 1 << 1 | 1 << 2 | 1 << 7
 _FLAGS = 1 << 9 | 1 << 13 | 1 << 18 | 1 << 25 | 1 << 26
-"""comm, task, sample_id_all, use_clockid, context_switch."""
+"""Flags comm, task, sample_id_all, use_clockid and context_switch."""
 _RECORD_LOST, _RECORD_COMM, _RECORD_FORK, _RECORD_SWITCH_CPU_WIDE = 2, 3, 7, 15
 _MISC_SWITCH_OUT = 1 << 13
 _FLAG_FD_CLOEXEC = 1 << 3
@@ -36,13 +37,14 @@ KEPT_NS = 2_000_000_000
 
 
 class SwitchesUnknown(Exception):
-    """The kernel gives no records; the message says why and what to do."""
+    """The kernel gives no records; the message contains the reason and, if known, what to do."""
 
 
 @dataclass(slots=True)
 class Switches:
-    """`on[cpu]`: (since when, thread) in order; `parent`: by process; `name`: by thread; `forks`:
-    processes that each process has started; its threads do not count."""
+    """The records so far. `on`: CPU → (begin in ns, thread), in order; `parent`: process → its
+    parent; `name`: thread → name; `forks`: process → number of processes that it has started,
+    without its threads; `lost`: number of lost records."""
 
     on: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
     parent: dict[int, int] = field(default_factory=dict)
@@ -51,7 +53,8 @@ class Switches:
     lost: int = 0
 
     def held(self, cpu: int, begin_ns: int, end_ns: int) -> dict[int, int]:
-        """Time in ns that each thread had this processor between the two times; 0: it was idle."""
+        """Return thread → time in ns that it had this processor between the two times. Thread 0
+        means that the processor was idle."""
         shares: dict[int, int] = {}
         rows = self.on.get(cpu, [])
         untils = [*(row[0] for row in rows[1:]), end_ns]
@@ -62,14 +65,14 @@ class Switches:
         return shares
 
     def forget(self, before_ns: int) -> None:
-        """Forget what was before, except which thread had each processor then."""
+        """Delete the switches before a time, except the last one of each processor."""
         for cpu, rows in self.on.items():
             kept = next((i for i, row in enumerate(rows) if row[0] > before_ns), len(rows))
             self.on[cpu] = rows[max(kept - 1, 0) :]
 
     def read(self, *processors: bytes) -> None:
-        """Add the records of each processor, all in the order of their times: a process is often
-        started on one and named on another."""
+        """Add the records of all processors together, in the order of their times, because a
+        process often starts on one processor and gets its name on another."""
         records = [one for processor in processors for one in _records(processor)]
         for kind, misc, body in sorted(records, key=_time_ns):
             self._add(kind, misc, body)
@@ -93,7 +96,7 @@ class Switches:
 
 
 def _records(processor: bytes) -> Iterator[tuple[int, int, bytes]]:
-    """Kind, flags and body of each that is whole."""
+    """Yield kind, flags and body of each complete record."""
     at = 0
     while at + _HEADER.size <= len(processor):
         kind, misc, size = _HEADER.unpack_from(processor, at)
@@ -111,10 +114,10 @@ def _time_ns(record: tuple[int, int, bytes]) -> int:
 
 
 class SwitchReader:
-    """Records of some processors, from now on. A context."""
+    """Reads the records of some processors, from its start on. A context manager."""
 
     def __init__(self, cpus: Iterable[int]) -> None:
-        """Raises SwitchesUnknown."""
+        """Start recording. Raise SwitchesUnknown if the kernel gives no records."""
         self.switches = Switches()
         self._release = contextlib.ExitStack()
         with contextlib.ExitStack() as unless_opened:
@@ -128,7 +131,7 @@ class SwitchReader:
         self._release.close()
 
     def read(self, now_ns: int) -> Switches:
-        """What came until now; older than KEPT_NS is forgotten."""
+        """Add the new records; return all that are not older than KEPT_NS."""
         self.switches.read(*map(_taken, self._rings))
         self.switches.forget(now_ns - KEPT_NS)
         return self.switches
@@ -163,8 +166,8 @@ def _ring(cpu: int) -> Iterator[mmap.mmap]:
 
 
 def _taken(ring: mmap.mmap) -> bytes:
-    """What lies between tail and head. The head is read before the data, and the tail is written
-    after it; x86 keeps that order, and on ARM the calls between are barriers."""
+    """Take the bytes between tail and head. The head is read before the data, and the tail is
+    written after it; x86 keeps this order, and on ARM the calls between are barriers."""
     head, tail, offset, size = struct.unpack_from("=QQQQ", ring, _DATA_HEAD)
     begin, end = tail % size, head % size
     data = ring[offset : offset + size]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Looks at the machine while the loop runs, and keeps what the search for a culprit needs."""
+"""Watches the machine while the loop runs, and collects the data for the search of causes."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from motord.tools.latency.causes.suspects import Case, Verdict
 from motord.tools.latency.causes.switches import SwitchesUnknown, SwitchReader
 
 LATE_FROM_NS = 50_000
-"""Later than this is worse than the class "usable"."""
+"""Lateness from which a tick counts as late: it is then worse than the class "usable"."""
 LOOP_THREAD = "motord-loop"
 
 
 def late_from_ns(rate_hz: float) -> int:
-    """What counts as late at a rate: never more than half of a period."""
+    """Return the lateness from which a tick counts as late at a rate: LATE_FROM_NS, but at most
+    half of a period."""
     return min(LATE_FROM_NS, round(0.5e9 / rate_hz))
 
 
 class Watcher:
-    """A context around a loop that runs with `late_from_ns`; call `look` every tenth of a second,
-    in the thread that owns the loop."""
+    """A context manager for a loop that runs with `late_from_ns`. Call `look` every tenth of a
+    second, in the thread that owns the loop."""
 
     def __init__(self, loop: Loop, rate_hz: float) -> None:
         self._loop, self._threads = loop, Threads()
@@ -58,13 +59,13 @@ class Watcher:
         self._release.close()
 
     def begin(self) -> None:
-        """What was before does not count."""
+        """Begin the first window now; what happened before does not count."""
         self._loop.take_late()
         self._before = counts()
         self._began_s = self._looked_s = time.monotonic()
 
     def look(self) -> None:
-        """Ends a window now."""
+        """End a window now, and begin the next one."""
         now_s, found = time.monotonic(), counts()
         switches = self._reader.read(time.monotonic_ns()) if self._reader else None
         grown = {key: n - self._before.get(key, n) for key, n in found.items()}
@@ -75,16 +76,16 @@ class Watcher:
         self._before, self._looked_s = found, now_s
 
     def verdict(self) -> Verdict:
-        """Of all windows so far."""
+        """Return the result for all windows so far."""
         switches = self._reader.switches if self._reader else None
         lost = self._loop.status().late_lost
         return self._case.verdict(self._looked_s - self._began_s, switches, lost, self._note)
 
 
 def own_thread(name: str) -> int:
-    """The number of this process's thread of that name; 0: there is none."""
+    """Return the number of this process's thread of that name; 0: there is no such thread."""
     for folder in Path("/proc/self/task").iterdir():
-        with contextlib.suppress(OSError):  # it has just ended
+        with contextlib.suppress(OSError):  # the thread has just ended
             if (folder / "comm").read_text().strip() == name:
                 return int(folder.name)
     return 0
