@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kinds of faults and their keys: the lines of a fault script.
+"""The kinds of faults and their keys: the syntax of a line of a fault script.
 
 KIND[:KEY=VALUE,...]        described in docs/simulator.md
 """
@@ -31,7 +31,8 @@ class Key:
 @dataclass(frozen=True, slots=True)
 class Kind:
     happens: str
-    """"reply": to replies, by p or nth; "state": for a time; "once": at a time."""
+    """When the fault happens: "reply": to replies, by p or nth; "state": for a time; "once": at a
+    time."""
     text: str
     keys: Mapping[str, Key]
 
@@ -39,7 +40,7 @@ class Kind:
 _UNIT = Key(0, NODE_MAX, whole=True)
 """A Modbus address, or a node of a CAN bus."""
 _CHANNEL = Key(1, 8, whole=True)
-"""Which motor of the unit; all of them if it is not given."""
+"""Number of the unit's motor. If it is not given: all motors."""
 _TIME_S = Key(0.0, 1e6)
 _SPAN = {"from_s": _TIME_S, "for_s": _TIME_S}
 _WHEN = {"unit": _UNIT, **_SPAN}
