@@ -107,7 +107,7 @@ def _set_up_lsm(rate_hz: float, range_place: int) -> tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """One sample about the sensor's own axes."""
+    """One sample, about the sensor's own axes."""
 
     angular_rad_s: tuple[float, ...]
     acceleration_m_s2: tuple[float, ...]

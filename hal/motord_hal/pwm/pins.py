@@ -156,7 +156,7 @@ class OpenPins:
         """Close the pins after the thread has brought them to rest. Return which pulses could not
         be ended, in words."""
         problems = []
-        for name, channel in zip(self.names, self.channels, strict=False):  # the names of GPIO lines follow those of channels
+        for name, channel in zip(self.names, self.channels, strict=False):  # lines come after them
             try:
                 channel.close()
             except PortError as error:

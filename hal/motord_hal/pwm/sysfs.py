@@ -31,8 +31,8 @@ LOOK_EVERY_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A channel that is set up. The descriptor of `duty_cycle` is this object's, and keeps others
-    from the channel."""
+    """A channel that is set up. This object owns the descriptor of `duty_cycle`, which keeps other
+    programs from the channel."""
 
     folder: Path
     duty_fd: int

@@ -23,7 +23,7 @@ _ICOUNTER = struct.Struct("=20i")
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """Since the driver was loaded."""
+    """Counts of the driver since it was loaded."""
 
     received: int
     framing: int

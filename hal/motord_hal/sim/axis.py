@@ -116,7 +116,7 @@ class Motor:
             self.encoder.restart(self.axis.shaft_rad, self.counter_start)
 
     def start_at(self, count: int) -> None:
-        """Let the counter start there, now and at each power-up."""
+        """Start the counter at `count`, now and at each power-up."""
         if self.encoder is not None:
             self.counter_start = count & self.encoder.mask
             self.restart_counter()

@@ -169,7 +169,7 @@ KINDS = MappingProxyType(
 
 
 def list_kinds() -> dict[str, Any]:
-    """All kinds as plain values, for programs that make up scripts."""
+    """Return all kinds as plain values, for programs that make up scripts."""
     return {
         name: {
             "happens": kind.happens,
@@ -190,7 +190,7 @@ def list_kinds() -> dict[str, Any]:
 
 
 def parse_fault(text: str) -> tuple[str, dict[str, float]]:
-    """Kind and values of one entry, defaults filled in. Raises FaultError."""
+    """Return kind and values of one entry, with defaults filled in. Raises FaultError."""
     kind, _, rest = text.strip().partition(":")
     if kind not in KINDS:
         raise FaultError(f'"{text}": no fault "{kind}"{_hint(kind, KINDS)}')
