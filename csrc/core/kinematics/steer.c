@@ -185,8 +185,8 @@ uint32_t steer_within_reach(const steer_state *steer, const base_limits *limits,
 }
 
 /* --------------------------------------------------------------------------- directions */
-/* The angle of a module's joint for that motion of the floor, forward or backward, the nearest to
- * near_rad within its range. false: out of reach; the nearest end. */
+/* Find the angle of a module's joint for that motion of the floor, forward or backward, the nearest
+ * to near_rad within its range. false: out of reach, and found_rad is the nearest end. */
 static bool aim_of(const core_config *config, const wheel_module *module, floor_speed v,
                    double near_rad, double *found_rad)
 {
