@@ -104,7 +104,7 @@ typedef struct {
     int64_t taken_ns;    /* time when it came */
     int64_t interval_ns; /* smoothed time between commands; 0: fewer than two have come */
     int64_t due_ns;      /* earliest time of the next command, at the allowed rate */
-    int64_t lifted_ns;   /* newest barred_until_ns after which a command has come; 0: none */
+    int64_t lifted_ns;   /* newest barred_until_ns that `held` already includes; 0: none */
     double linear_m_s;   /* as requested */
     double angular_rad_s;
     double lateral_m_s;

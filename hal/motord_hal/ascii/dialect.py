@@ -40,8 +40,8 @@ def feedback_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
-    """Check a set-point template. Raises ValueError if it has not exactly one set of these
-    fields."""
+    """Check a set-point template. Raises ValueError unless its fields are all joints, all rim
+    speeds, or the twist."""
     sent = set(text.fields)
     if sent not in (set(joints), set(rim_fields(joints)), {LINEAR, ANGULAR}):
         each = f"{', '.join(joints)}, or {', '.join(rim_fields(joints))}"

@@ -145,8 +145,8 @@ def _check_field(name: str, spec: str, conversion: str | None, known: Collection
 
 
 class Lines:
-    """Cuts a stream of bytes at line ends. The first piece may be half a line and is dropped; so is
-    a line longer than LINE_BYTES_MAX."""
+    """Splitter of a stream of bytes at line ends. The first piece may be half a line and is
+    dropped; so is a line longer than LINE_BYTES_MAX."""
 
     def __init__(self) -> None:
         self._tail = bytearray()

@@ -72,7 +72,7 @@ class BusOffWatch:
 
     def is_off(self) -> bool:
         """Whether it is bus-off, checked every LOOK_EVERY_S. Only an interface without a carrier
-        can be bus-off, so the kernel is queried only for such one; that may take
+        can be bus-off, so the kernel is queried only then; that may take
         ANSWER_WITHIN_S."""
         if now_s() < self._next_s:
             return False

@@ -23,7 +23,7 @@ Write = Callable[[Frame, Mapping[str, int]], bool]
 
 
 class StepRunner:
-    """Carries out the steps of one drive's jobs, one write or check in each call."""
+    """Executor of the steps of one drive's jobs, with one write or check in each call."""
 
     def __init__(self, plan: CanPlan, write: Write, ask: Callable[[Frame], bool]) -> None:
         self._plan = plan

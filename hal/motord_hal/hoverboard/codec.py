@@ -57,8 +57,8 @@ def parse(packet: bytes) -> bytes | None:
 
 
 class Splitter:
-    """Cuts a stream into packets of one length. Bytes that begin no good packet are dropped one by
-    one: a packet may begin among them."""
+    """Splitter of a stream into packets of one length. Bytes that begin no good packet are dropped
+    one by one: a packet may begin among them."""
 
     def __init__(self, size: int) -> None:
         self._size = size

@@ -97,7 +97,7 @@ def parse(stuffed: bytes) -> Frame:
 
 
 class Splitter:
-    """Cuts a stream of bytes at its zeros. Of bytes without an end, only a limited number is
+    """Splitter of a stream of bytes at its zeros. Of bytes without an end, only a limited number is
     kept."""
 
     def __init__(self) -> None:

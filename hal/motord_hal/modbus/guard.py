@@ -88,7 +88,7 @@ def keeping_cancellation() -> Iterator[None]:
 
 
 class Strict(FramerBase):
-    """Passes the answer to the current request and nothing else. All media share this part."""
+    """Framer that passes only the answer to the current request. All media share this part."""
 
     def __init__(self) -> None:
         super().__init__(DecodePDU(is_server=False))

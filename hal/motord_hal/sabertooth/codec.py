@@ -39,7 +39,7 @@ def packet(unit: int, number: int, value: int) -> bytes:
 
 
 class Receiver:
-    """Reads packets from a stream, as a driver at one address does."""
+    """Receiver of packets from a stream, like a driver at one address."""
 
     def __init__(self, profile: DriveProfile, unit: int) -> None:
         self._names = {each.address: each.name for each in profile.registers.values()}

@@ -91,7 +91,7 @@ def unresponsive_hint(
 
 
 class Witness:
-    """Keeps the latest counts of an open port, for the moment when a drive stops answering."""
+    """Memory of the latest counts of an open port, for the moment when a drive stops answering."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, Counters | None, Traffic]] = deque(maxlen=LOOKS_KEPT)

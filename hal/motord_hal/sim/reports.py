@@ -18,7 +18,7 @@ ampere."""
 
 
 class Reports:
-    """Connects the live registers of one drive to its motors."""
+    """Connection of the live registers of one drive to its motors."""
 
     def __init__(
         self,

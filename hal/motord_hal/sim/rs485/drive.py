@@ -39,7 +39,7 @@ class DriveStats:
 
 
 class _Sequence:
-    """Recognises the writes of one sequence of the profile, in their order."""
+    """Detector of the writes of one sequence of the profile, in their order."""
 
     def __init__(self, steps: tuple[Step, ...]) -> None:
         self._writes = [(step.register, step.value) for step in steps if step.value is not None]
