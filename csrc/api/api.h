@@ -23,14 +23,14 @@ enum {
     REASON_LINEAR_ACCELERATION = 1 << 1, /* [limits] linear_m_s2 */
     REASON_LINEAR_DECELERATION = 1 << 2, /* [limits] linear_deceleration_m_s2 */
     REASON_LINEAR_JERK = 1 << 3,         /* [limits] linear_m_s3 */
-    REASON_ANGULAR_VELOCITY = 1 << 4,    /* the same four, angular */
+    REASON_ANGULAR_VELOCITY = 1 << 4,    /* for angular motion, like the next three */
     REASON_ANGULAR_ACCELERATION = 1 << 5,
     REASON_ANGULAR_DECELERATION = 1 << 6,
     REASON_ANGULAR_JERK = 1 << 7,
     REASON_WHEEL_SATURATED = 1 << 8,   /* a wheel's limit scaled the whole twist: curvature kept */
     REASON_DUTY_CLAMPED = 1 << 9,      /* [joint] duty_min / duty_max */
     REASON_DUTY_SLEW = 1 << 10,        /* [joint] duty_slew_per_s */
-    REASON_LATERAL_VELOCITY = 1 << 11, /* the same four, lateral */
+    REASON_LATERAL_VELOCITY = 1 << 11, /* for lateral motion, like the next three */
     REASON_LATERAL_ACCELERATION = 1 << 12,
     REASON_LATERAL_DECELERATION = 1 << 13,
     REASON_LATERAL_JERK = 1 << 14,

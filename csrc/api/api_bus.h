@@ -17,7 +17,7 @@ typedef struct {
 typedef enum {
     TWIST_NOT_ONE = 0, /* no twist: another encoding, too short, or longer than TWIST_RAW_MAX */
     TWIST_STAMP_ZERO = 1,
-    TWIST_STAMP_AHEAD = 2, /* by more than half a second: the sender's clock is wrong */
+    TWIST_STAMP_AHEAD = 2, /* more than half a second in the future: the sender's clock is wrong */
     TWIST_REFUSALS = 3
 } twist_refusal;
 

@@ -24,7 +24,7 @@ typedef struct {
     uint32_t magic;             /* COMMAND_MAGIC: "MTMC" */
     uint16_t version;           /* COMMAND_VERSION, or COMMAND_VERSION_PLANE */
     uint16_t kind;              /* command_kind */
-    uint8_t token[TOKEN_BYTES]; /* of the lease */
+    uint8_t token[TOKEN_BYTES]; /* token of the lease */
     uint64_t sequence;          /* greater than the previous one, modulo 2^64; never 0 */
     int64_t stamp_ns;           /* CLOCK_MONOTONIC when the command was given */
     uint32_t lifetime_ms;       /* 0: that of the lease; a longer one is refused */
@@ -80,7 +80,7 @@ typedef enum {
     REFUSED_FORM = 0, /* wrong length, magic, version or kind */
     REFUSED_TOKEN = 1,
     REFUSED_SEQUENCE = 2, /* 0, or not greater than the last one */
-    REFUSED_AGE = 3,      /* from the future, or older than its lifetime */
+    REFUSED_AGE = 3,      /* stamp from the future, or older than its lifetime */
     REFUSED_LIFETIME = 4,
     REFUSED_NOT_FINITE = 5, /* not finite: the lease then commands zero */
     REFUSED_JOINTS = 6, /* wrong number of joints, or a command that these joints cannot carry out:
@@ -98,14 +98,14 @@ typedef struct {
     uint32_t priority;
     uint64_t since;    /* order in which the leases became active; among equals the lowest
                           commands */
-    uint64_t sequence; /* of the newest command; 0: no command yet */
+    uint64_t sequence; /* number of the newest command; 0: no command yet */
     int64_t stamp_ns;
     int64_t expires_ns;
     int64_t taken_ns;    /* time when it came */
     int64_t interval_ns; /* smoothed time between commands; 0: fewer than two have come */
     int64_t due_ns;      /* earliest time of the next command, at the allowed rate */
     int64_t lifted_ns;   /* newest barred_until_ns that `held` already includes; 0: none */
-    double linear_m_s;   /* as requested */
+    double linear_m_s;   /* the requested motion */
     double angular_rad_s;
     double lateral_m_s;
     joint_command joints;

@@ -8,7 +8,7 @@ enum { AXIS_LINEAR = 0, AXIS_ANGULAR = 1, AXIS_LATERAL = 2, AXES = 3 };
 
 typedef struct {
     double velocity_u_s;
-    double acceleration_u_s2; /* of the previous step */
+    double acceleration_u_s2; /* acceleration of the previous step */
 } limit_state;
 
 /* Do one step of a twist, axis[AXES], along the straight line to goal_u_s[AXES]. Returns the REASON
@@ -39,7 +39,7 @@ typedef struct {
 /* Growth of the pose's uncertainty, from the motion of wheels and base since the last look. A look
  * is due by the rule of plausible_due(). */
 typedef struct {
-    int64_t stamp_ns;   /* of the last look; 0: begin anew */
+    int64_t stamp_ns;   /* time of the last look; 0: begin anew */
     double heading_rad; /* heading at the last look */
     double x_m;         /* motion since then, in the frame of the pose, as if straight on */
     double y_m;
@@ -97,7 +97,7 @@ int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits);
 
 typedef struct {
     joint_odometry joint[JOINTS_MAX];
-    int64_t stamp_ns; /* of the last integration */
+    int64_t stamp_ns; /* time of the last integration */
     uint32_t degraded;
     uint32_t epoch;
     uint32_t blind;   /* 1: the wheels that send feedback do not determine the motion, so nothing is
@@ -116,8 +116,8 @@ typedef struct {
     double lateral_covariance[3];
     spread_state spread;
     twist_inverse used;           /* for the joints that brought the last travel */
-    double angle_rad[JOINTS_MAX]; /* of joints that take positions; NaN: not known */
-    double arc_rad[JOINTS_MAX];   /* the same at the end of the last arc */
+    double angle_rad[JOINTS_MAX]; /* angles of joints that take positions; NaN: not known */
+    double arc_rad[JOINTS_MAX];   /* the same angles at the end of the last arc */
     gyro_state gyro;
 } odometry_state;
 
@@ -131,7 +131,7 @@ void odometry_step(odometry_state *state, const core_config *config, const joint
 
 /* Results of a command under the limits in force. They are kept: commands are rarer than ticks. */
 typedef struct {
-    double command_u_s[AXES]; /* as it came in */
+    double command_u_s[AXES]; /* the command as it came in */
     double wanted_u_s[AXES];  /* the same, but 0 when not finite */
     double goal_u_s[AXES];    /* the part that limits and wheels allow */
     double saturation;
@@ -144,7 +144,8 @@ typedef struct {
 /* The wheels' results of the last tick. They are valid as long as the twist is the same and no duty
  * is ramping. */
 typedef struct {
-    double twist_u_s[AXES]; /* of a base with modules; other bases have it in core_state.axis */
+    double twist_u_s[AXES]; /* twist of a base with modules; other bases have it in
+                               core_state.axis */
     joint_setpoint joint[JOINTS_MAX];
     uint32_t reasons;
     uint32_t moving;
@@ -154,7 +155,7 @@ typedef struct {
 
 /* Steering of a base with modules. */
 typedef struct {
-    position_profile profile[JOINTS_MAX]; /* by joint */
+    position_profile profile[JOINTS_MAX]; /* profiles by joint */
     double unsure_s[JOINTS_MAX]; /* ESTIMATED: time for which the joint may still be anywhere */
     double pace_rad_s; /* speed at which a wheel's direction may change while the base moves, so
                           that no profile lags much */
@@ -163,29 +164,29 @@ typedef struct {
     double misaligned_rad;
     position_following following[JOINTS_MAX];
     uint32_t turns_on_spot;
-    uint32_t enabled; /* in the last tick */
+    uint32_t enabled; /* 1: enabled in the last tick */
     uint32_t unknown; /* bit n: the position of joint n is unknown */
     uint32_t reserved;
 } steer_state;
 
 typedef struct {
     core_config config;
-    base_limits limits;         /* in force */
+    base_limits limits;         /* limits in force */
     uint64_t command_window_ns; /* timeouts, measured from the farthest valid stamp in the future */
     uint64_t feedback_window_ns;
     uint64_t heartbeat_window_ns;
     core_goal goal;
     core_wheels wheels;
-    limit_state axis[AXES]; /* of the wheels' twist */
+    limit_state axis[AXES]; /* twist of the wheels */
     odometry_state odometry;
     speed_loop_state speed_loop[JOINTS_MAX];
-    speed_loop_gains gains[JOINTS_MAX]; /* in force */
+    speed_loop_gains gains[JOINTS_MAX]; /* gains in force */
     plausible_state plausible[JOINTS_MAX];
     steer_state steer;
     joints_state joints;
-    axis_limits joint_limits[JOINTS_MAX]; /* in force, of joints without a base */
+    axis_limits joint_limits[JOINTS_MAX]; /* limits in force for joints without a base */
     derating_state derating[JOINTS_MAX];
-    robot_state snapshot;       /* of the last tick */
+    robot_state snapshot;       /* snapshot of the last tick */
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has sent no feedback for feedback_timeout_s */
     uint64_t tick;
     uint32_t armed;

@@ -25,14 +25,14 @@ typedef struct {
 } derating_config;
 
 typedef struct {
-    int64_t stamp_ns;           /* of the last sample; 0: there was none */
+    int64_t stamp_ns;           /* stamp of the last sample; 0: no sample yet */
     double measured[DERATINGS]; /* smoothed; NaN: never measured */
 } derating_state;
 
 /* For users: the joint that derates the base most. */
 typedef struct {
     int64_t since_ns; /* 0: no joint derates the base */
-    double factor;    /* of the base's speed limits */
+    double factor;    /* factor of the base's speed limits */
     uint32_t joint;
     uint32_t by; /* DERATED_BY_* */
 } derating_shown;
@@ -40,12 +40,12 @@ typedef struct {
 /* Start time of each reason, and the joints that cause it: bit n is joint n. The joints of a reason
  * are valid only while it holds. */
 typedef struct {
-    int64_t since_ns[REASONS_MAX]; /* by bit; 0: the reason does not hold */
-    uint32_t saturated_joint; /* of REASON_WHEEL_SATURATED: the joint that has to be slowed down
+    int64_t since_ns[REASONS_MAX]; /* start times by bit; 0: the reason does not hold */
+    uint32_t saturated_joint; /* REASON_WHEEL_SATURATED: the joint that has to be slowed down
                                  most */
-    uint32_t duty_clamped;    /* of REASON_DUTY_CLAMPED */
-    uint32_t duty_slew;       /* of REASON_DUTY_SLEW: the joint whose slew rate bounds the ramp */
-    uint32_t joint_velocity;  /* of REASON_JOINT_VELOCITY, and so on */
+    uint32_t duty_clamped;    /* joints that cause REASON_DUTY_CLAMPED */
+    uint32_t duty_slew;       /* REASON_DUTY_SLEW: the joint whose slew rate bounds the ramp */
+    uint32_t joint_velocity;  /* joints that cause REASON_JOINT_VELOCITY; likewise the next two */
     uint32_t joint_acceleration;
     uint32_t joint_position;
 } reasons_shown;

@@ -12,14 +12,14 @@ typedef struct {
     double counter_slack_rad;      /* travel by the counter may exceed the reach by this */
     double counter_round_rad;      /* angle after which the counter repeats */
     double counter_unused_max_rad; /* greatest unused reach that is carried over */
-    uint32_t counter_bits_unused;  /* of a 64 bit word */
+    uint32_t counter_bits_unused;  /* unused bits of a 64-bit word */
     uint32_t reserved;
 } joint_constants;
 
 typedef struct {
     uint64_t count;   /* count of the last accepted sample, from which travel counts */
     uint64_t refused; /* count of the last sample, if that was refused */
-    int64_t stamp_ns; /* of the last sample */
+    int64_t stamp_ns; /* stamp of the last sample */
     uint32_t epoch;
     uint32_t last;  /* state of the last sample: none, accepted or refused */
     uint32_t fresh; /* a sample came since the last integration */
@@ -58,14 +58,14 @@ typedef struct {
 typedef struct {
     int64_t since_ns;
     double setpoint_rad_s;
-    double measured_rad_s; /* by the counter if the joint has one, smoothed */
+    double measured_rad_s; /* measured by the counter if the joint has one, smoothed */
     double reported_rad_s; /* the drive's own measured value, as it came; NaN: none */
     uint32_t fault;        /* FAULT_*; 0: there is none */
     uint32_t joint;
 } feedback_doubt;
 
 typedef struct {
-    int64_t stamp_ns; /* of the last sample; 0: begin anew */
+    int64_t stamp_ns; /* stamp of the last sample; 0: begin anew */
     double position_rad;
     double measured_rad_s; /* smoothed */
     double reported_rad_s; /* the drive's own measured value, smoothed; without one the value

@@ -36,12 +36,12 @@ enum {
 
 /* The core's report on the sensor. NaN: not measured, or not known yet. */
 typedef struct {
-    int64_t stamp_ns;        /* of the newest sample; 0: no sample */
+    int64_t stamp_ns;        /* stamp of the newest sample; 0: no sample */
     double angular_rad_s[3]; /* about z without its zero-rate offset, once that is known */
     double acceleration_m_s2[3];
     double bias_rad_s; /* zero-rate offset about z */
     double bias_variance_rad2_s2;
-    double rate_variance_rad2_s2; /* of a sample about z */
+    double rate_variance_rad2_s2; /* variance of a sample about z */
     uint32_t state;               /* GYRO_* */
     uint32_t heading_by_gyro;     /* 1: the newest turn in the pose is by the gyro, 0: by the
                                      wheels */
@@ -51,18 +51,19 @@ typedef struct {
 } imu_state;
 
 typedef struct {
-    int64_t stamp_ns;  /* of the last good sample; 0: no sample */
+    int64_t stamp_ns;  /* stamp of the last good sample; 0: no sample */
     double rate_rad_s; /* about z, without its zero-rate offset */
     double yaw_rad;    /* the rate's integral since the start or the last gap; not wrapped */
     double bias_rad_s;
     double bias_variance_rad2_s2;
-    double rate_variance_rad2_s2; /* of single samples while the base stood */
-    int64_t bias_stamp_ns;        /* of the newest estimate; 0: no estimate */
-    uint32_t epoch; /* of the integral: another number means that a part of the turn is missing */
+    double rate_variance_rad2_s2; /* variance of single samples while the base stood */
+    int64_t bias_stamp_ns;        /* time of the newest estimate; 0: no estimate */
+    uint32_t epoch; /* epoch of the integral: another number means that a part of the turn is
+                       missing */
     uint32_t sensor_epoch;
     uint32_t refused;        /* samples that were no numbers, off the scale or out of order */
     uint32_t still;          /* 1: the base stands still, by wheels and gyro */
-    int64_t seen_stamp_ns;   /* of the last sample, good or not */
+    int64_t seen_stamp_ns;   /* stamp of the last sample, good or not */
     int64_t still_since_ns;  /* time since which the wheels rest; 0: they do not rest */
     int64_t window_since_ns; /* start of the window for the next estimate */
     double window_mean_rad_s;

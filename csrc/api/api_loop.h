@@ -83,7 +83,7 @@ typedef struct {
  * Data of each late tick, to find the cause of the delay. Each value is a difference to the
  * previous tick. */
 enum {
-    STAGE_WAKE = 0,   /* from the deadline to the thread's wake-up */
+    STAGE_WAKE = 0,   /* time from the deadline to the thread's wake-up */
     STAGE_INPUT = 1,  /* commands, control and feedback are taken */
     STAGE_CORE = 2,   /* core_step */
     STAGE_OUTPUT = 3, /* set-points for the lines, state page, journal */
@@ -139,12 +139,12 @@ typedef struct {
     uint64_t ticks;
     uint64_t overruns;    /* periods skipped because the previous one was still running or the CPU
                              was away */
-    uint64_t page_faults; /* of the thread since its first tick, minor and major */
+    uint64_t page_faults; /* page faults of the thread since its first tick, minor and major */
     int64_t tick_stamp_ns;  /* last tick */
     uint32_t estop_input;   /* ESTOP_* */
     uint32_t watchdog_well; /* 1: the watchdog's pin changes */
     uint64_t watchdog_edges;
-    int32_t watchdog_errno; /* of the last write */
+    int32_t watchdog_errno; /* error of the last write; 0: no error */
     uint32_t reserved_too;
     uint64_t late_lost; /* late ticks for which there was no room */
 } loop_status;

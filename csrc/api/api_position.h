@@ -45,7 +45,7 @@ typedef struct {
 
 typedef struct {
     double position_rad;
-    double velocity_rad_s; /* of the previous step */
+    double velocity_rad_s; /* velocity of the previous step */
 } position_profile;
 
 /* Command for joints without a base. */
@@ -58,11 +58,11 @@ typedef struct {
 
 /* State of joints without a base. */
 typedef struct {
-    double target_rad[JOINTS_MAX];     /* of those that take positions; NaN: no target */
-    double velocity_rad_s[JOINTS_MAX]; /* of the others, in the last step */
+    double target_rad[JOINTS_MAX];     /* targets of joints that take positions; NaN: no target */
+    double velocity_rad_s[JOINTS_MAX]; /* velocities of the other joints in the last step */
     double acceleration_rad_s2[JOINTS_MAX];
-    double braking_rad_s2[JOINTS_MAX]; /* of those that take positions: their present acceleration
-                                          and deceleration */
+    double braking_rad_s2[JOINTS_MAX]; /* present acceleration and deceleration of joints that take
+                                          positions */
     uint32_t owner;                    /* the lease of the targets */
     uint32_t reserved;
 } joints_state;

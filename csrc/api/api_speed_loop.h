@@ -14,8 +14,8 @@ typedef struct {
     double integral_u_per_rad;        /* for the sum of it, an angle */
     double derivative_u_s2_per_rad;   /* against the measured acceleration */
     double static_u;                  /* feed-forward: by the direction of the set-point, */
-    double viscous_u_s_per_rad;       /* by the set-point, */
-    double acceleration_u_s2_per_rad; /* and by its rate of change */
+    double viscous_u_s_per_rad;       /* proportional to the set-point, */
+    double acceleration_u_s2_per_rad; /* and to its rate of change */
 } speed_loop_gains;
 
 typedef struct {
@@ -32,7 +32,7 @@ typedef struct {
 typedef struct {
     double integral_u;
     double slow_rad_s;  /* the measured speed through the derivative's filter */
-    double want_rad_s;  /* of the previous step */
+    double want_rad_s;  /* set-point of the previous step */
     double output_u;    /* output of the previous step, from the loop or not */
     uint32_t begun;     /* 0: the next step continues from output_u */
     uint32_t overspeed; /* 1: no more output until the power has been off */

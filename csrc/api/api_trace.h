@@ -6,7 +6,7 @@ enum { TRACE_BYTES_MAX = 256, TRACE_ENTRIES = 256 };
 
 typedef struct {
     int64_t stamp_ns; /* CLOCK_MONOTONIC */
-    uint32_t bytes;   /* of data */
+    uint32_t bytes;   /* number of bytes in `data` */
     uint32_t outward; /* 1: to the drives; 0: from them */
     uint8_t data[TRACE_BYTES_MAX];
 } trace_entry;

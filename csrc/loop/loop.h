@@ -29,7 +29,7 @@ typedef struct {
     guard guard;
     arbiter arbiter;
     lease_permissions permissions;
-    int64_t used_stamp_ns; /* of the command that HISTOGRAM_COMMAND counted last */
+    int64_t used_stamp_ns; /* stamp of the command that HISTOGRAM_COMMAND counted last */
     bool woken;            /* the previous tick had a new command */
     bool stopping;         /* the set-points of the last tick were zero */
     histogram histogram[HISTOGRAM_KINDS];

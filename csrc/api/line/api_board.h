@@ -107,7 +107,7 @@ typedef struct {
  * text has its rate about z, in units of 1e-6 rad/s. */
 typedef struct {
     uint32_t used;        /* 0: no sensor, and the rest is unused */
-    uint32_t epoch;       /* of its samples */
+    uint32_t epoch;       /* epoch of its samples */
     uint32_t axis[3];     /* for the base's x, y, z: the sensor's axis along it, 0, 1 or 2 */
     uint32_t backward[3]; /* 1: the opposite direction */
     board_place rate_z;   /* TEXT */
@@ -130,7 +130,7 @@ typedef struct {
     uint32_t unit_count; /* SABERTOOTH: drivers on the wire, which move and stop as one drive */
     uint8_t unit[SABERTOOTH_UNITS_MAX]; /* addresses of the drivers, in rising order */
     uint32_t reserved;
-    int64_t period_ns; /* of the cycle: > 0 */
+    int64_t period_ns; /* period of the cycle: > 0 */
     int64_t gap_ns; /* least time from the beginning of a frame to that of the next: the wire
                        carries one at a time */
     int64_t silence_ns;          /* time without feedback after which the board is unresponsive: >
@@ -173,7 +173,7 @@ typedef struct {
     uint32_t stopping; /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion;    /* 1: the newest set-points are not zero */
     uint32_t stops;          /* number of stops that were sent to the board, by C or by a request */
-    uint32_t epoch;          /* of its feedback */
+    uint32_t epoch;          /* epoch of its feedback */
     uint32_t orders_sent;    /* number of orders that went out */
     uint32_t orders_dropped; /* number of dropped ones: guarded and the board was stopped, or it is
                                 unresponsive */

@@ -15,15 +15,15 @@ enum { PWM_OFF, PWM_STOP, PWM_ARMED };
  * half on. */
 typedef struct {
     uint32_t joint;    /* index in bridge_config.joint */
-    int32_t fd;        /* of a duty_cycle file; -1: a GPIO line */
+    int32_t fd;        /* descriptor of a duty_cycle file; -1: a GPIO line */
     uint32_t bit;      /* GPIO: bit of the line in the request */
     uint32_t inverted; /* the pin is active low */
     uint32_t pumps; /* 1: the pin changes with every cycle of the period while the motor may move,
                        else it is low; base and slope are unused. A charge pump or watchdog behind
                        it drops out when any thread hangs */
     uint32_t reserved;
-    uint64_t period_ns; /* of the channel */
-    double base[4];     /* by mode */
+    uint64_t period_ns; /* period of the channel */
+    double base[4];     /* values by mode */
     double slope[4];
 } bridge_pin;
 
@@ -65,8 +65,8 @@ typedef struct {
     uint32_t running;
     uint32_t armed;
     uint32_t stopping;
-    uint32_t fault_reasons; /* of the last arming */
-    uint32_t number;        /* of the newest request in force */
+    uint32_t fault_reasons; /* DRIVE_FAULT_* since the last arming */
+    uint32_t number;        /* number of the newest request in force */
     int32_t error;          /* errno that ended the thread */
     /* output of the error; -1: the GPIO request; -2 - n: the encoder of joint n */
     int32_t error_output;
@@ -86,12 +86,13 @@ typedef struct {
 
 /* --------------------------------------------------------- pure: the levels of the pins */
 typedef struct {
-    drive_state drive; /* of all joints. Without a set-up it is READY from the first step on */
+    drive_state drive; /* state of all joints. Without a set-up it is READY from the first step
+                          on */
     int64_t brake_until_ns; /* end of the braking, while it is stopping */
-    int64_t last_ns;        /* of the previous step */
+    int64_t last_ns;        /* time of the previous step */
     uint64_t enabled_count; /* number of times that the set-points became enabled: the caller writes
                                it before the step */
-    uint32_t phase;         /* of pins that pump */
+    uint32_t phase;         /* phase of pins that pump */
     uint32_t holds;         /* bit n: joint n, a servo, gets its pulses */
     double held_duty[8];    /* target angle of a servo, as a duty */
 } bridge_state;

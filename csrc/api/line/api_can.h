@@ -94,7 +94,7 @@ typedef struct {
 
 /* How a frame of the drive is recognised. */
 typedef struct {
-    uint32_t id;    /* with bit 31 for an extended frame */
+    uint32_t id;    /* identifier, with bit 31 for an extended frame */
     uint32_t bytes; /* least number of bytes */
     uint32_t begins_bytes;
     uint32_t input; /* 1 + number of the input with this frame; 0: only for Python */
@@ -136,7 +136,7 @@ typedef struct {
     uint32_t drive_count; /* 1..CAN_DRIVES_MAX */
     uint32_t sync_count;  /* frames for all drives at once, at the end of each cycle */
     can_packet sync[CAN_SYNCS_MAX];
-    int64_t period_ns;           /* of the cycle: > 0 */
+    int64_t period_ns;           /* period of the cycle: > 0 */
     int64_t setpoint_timeout_ns; /* age of set-points that causes a quick stop */
     double rest_velocity_rad_s;  /* a wheel slower than this is at rest: > 0 */
     can_drive drive[CAN_DRIVES_MAX];
@@ -180,7 +180,7 @@ typedef struct {
     uint64_t received;     /* frames */
     uint64_t unresponsive; /* number of times that the drive became UNRESPONSIVE */
     int64_t received_ns;
-    uint32_t epoch; /* of its feedback */
+    uint32_t epoch; /* epoch of its feedback */
     uint32_t orders_sent;
     uint32_t orders_dropped; /* number of dropped orders: too late, or guarded and the drive was
                                 stopped */
@@ -210,7 +210,7 @@ typedef struct {
 
 /* State of the drives from before the line was opened; zeros: nothing is known. */
 typedef struct {
-    uint32_t epoch;        /* of their feedback */
+    uint32_t epoch;        /* epoch of their feedback */
     uint32_t may_turn;     /* bit n: drive n may turn, and gets a stop until it is set up again */
     uint32_t left_running; /* another program left all drives so: each begins with a quick stop,
                               without a set-up before it */

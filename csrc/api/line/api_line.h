@@ -88,7 +88,7 @@ typedef enum {
 typedef struct {
     uint32_t joint;     /* place in setpoints.joint */
     uint32_t kind;      /* setpoint_kind */
-    uint32_t byte;      /* in the request */
+    uint32_t byte;      /* position in the request */
     uint32_t form;      /* wire_form */
     uint32_t magnitude; /* 1: without a sign; a line_direction sets the direction */
     uint32_t reserved;
@@ -146,7 +146,7 @@ typedef struct {
 typedef struct {
     uint32_t joint; /* index in the core's arrays; unused for ENABLED and KEPT */
     uint32_t kind;  /* field_kind */
-    uint32_t byte;  /* in the reply */
+    uint32_t byte;  /* position in the reply */
     uint32_t form;  /* wire_form */
     uint32_t mask;  /* adjacent bits that hold the value; 0: all of them */
     uint32_t equals_mask;
@@ -220,7 +220,7 @@ typedef struct {
     uint32_t used; /* 0: each drive has its own exchanges */
     /* start of the written data in cyclic[0]; they end before its check sum */
     uint32_t data_byte;
-    uint32_t write_bytes; /* of write[], without check sum and data */
+    uint32_t write_bytes; /* bytes of write[], without check sum and data */
     uint32_t read_bytes;
     uint32_t fast; /* 1: a fast sync read, which all answer in one packet, while no drive fails
                       (Dynamixel); 0: never */
@@ -334,7 +334,7 @@ typedef struct {
     uint32_t stopping; /* a quick stop was sent, and the wheels have not been seen at rest since */
     uint32_t sent_motion; /* 1: it was sent set-points that are not zero, and has not acknowledged
                              zero since */
-    uint32_t failures;    /* in a row */
+    uint32_t failures;    /* number of failures in a row */
     uint32_t last_failure; /* answer_kind */
     uint32_t last_exception;
     uint32_t may_turn;   /* 1: armed since its newest set-up, also before the port was opened */
@@ -361,7 +361,7 @@ typedef struct {
     int32_t policy;   /* SCHED_FIFO (1) or SCHED_OTHER (0), as set by the kernel */
     int32_t scheduler_errno;
     uint64_t rounds;      /* grows while the thread works, at least twenty times a second */
-    uint64_t page_faults; /* of the thread since its first cycle */
+    uint64_t page_faults; /* page faults of the thread since its first cycle */
 } line_life;
 
 typedef struct {
@@ -389,8 +389,8 @@ typedef struct {
 
 typedef struct {
     line_place at;        /* woken by answers and by changes of a drive's mode */
-    int64_t de_before_ns; /* from the edge to the first bit */
-    int64_t de_after_ns;  /* from the last bit to the edge back */
+    int64_t de_before_ns; /* time from the edge to the first bit */
+    int64_t de_after_ns;  /* time from the last bit to the edge back */
     int32_t de_fd;        /* GPIO line request (v2) that turns the transceiver; -1: none */
     uint32_t de_active_high;
     uint32_t may_turn; /* bit n: drive n may turn since before the port was opened, and gets a stop

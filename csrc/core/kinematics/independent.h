@@ -10,7 +10,7 @@
 /* Input to a step, beside the configuration. */
 typedef struct {
     const joint_command *command; /* NULL: all joints come to rest */
-    const axis_limits *limits;    /* in force, by joint */
+    const axis_limits *limits;    /* limits in force, by joint */
     uint32_t owner;               /* the lease in command */
     double factor;                /* 0..1, factor of each joint's speed limit */
     double dt_s;

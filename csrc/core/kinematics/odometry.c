@@ -11,9 +11,9 @@
 #include <math.h>
 
 typedef struct {
-    double rim_m[JOINTS_MAX]; /* of the joints that brought a travel */
+    double rim_m[JOINTS_MAX]; /* travel of the joints that brought one */
     uint32_t joints;          /* bit n: joint n did so */
-    int64_t stamp_ns;         /* of the newest sample */
+    int64_t stamp_ns;         /* stamp of the newest sample */
     uint32_t degraded;
 } arc;
 

@@ -75,7 +75,7 @@ typedef struct {
     int64_t off_again_ns;   /* time when it went out again after that feedback; 0: not yet */
     uint32_t feedback_mask; /* joints whose feedback is new since it was taken */
     imu_sample imu;         /* the newest sample */
-    bool imu_is_new;        /* since it was taken */
+    bool imu_is_new;        /* the sample is new since it was taken */
     uint8_t last_sent[BOARD_PAYLOAD_MAX]; /* the newest payload that went out */
     bool notify;                          /* there is new data for Python */
     uint8_t held[BOARD_PAYLOAD_MAX];
@@ -89,7 +89,7 @@ typedef struct {
     int64_t last_sent_ns; /* time when a frame last went out */
     int64_t received_ns;  /* 0: never */
     int64_t knows_ns;
-    int64_t stamp_ns; /* of the newest feedback */
+    int64_t stamp_ns; /* stamp of the newest feedback */
     cycle_clock cycle;
     uint64_t sent;
     uint64_t no_room;

@@ -68,7 +68,7 @@ typedef struct {
     int64_t newest_ns;
     bool no_number;       /* the position is not finite, so there is no feedback */
     uint32_t taken;       /* 1: the drive has taken its target; next it needs a trigger of 0 */
-    position_place place; /* in the numbers of the drive's frames */
+    position_place place; /* position in the numbers of the drive's frames */
     uint32_t fault_word;
 } can_joint_state;
 
@@ -91,7 +91,7 @@ typedef struct {
     can_control control;
     can_order order[CAN_WAITING_MAX];
     uint32_t order_count;
-    int64_t now_ns;         /* of this step */
+    int64_t now_ns;         /* time of this step */
     uint32_t feedback_mask; /* joints whose feedback is new since it was taken */
     bool receives_own;      /* the CAN bus reports when a set-point frame of motord's has left */
     bool clogged;           /* the CAN bus has taken nothing for a whole cycle */

@@ -10,14 +10,14 @@
 #include "line_machine.h"
 
 enum {
-    UNIT_BYTE = 4, /* of a packet */
+    UNIT_BYTE = 4, /* position in a packet */
     LENGTH_BYTE = 5,
     INSTRUCTION_BYTE = 7,
     HEAD_BYTES = 8,
     STATUS = 0x55,
-    STATUS_DATA_BYTE = 9, /* of a servo's own status; with its check sum */
+    STATUS_DATA_BYTE = 9, /* position in a servo's own status, whose size includes its check sum */
     STATUS_BYTES = 11,
-    BLOCK_UNIT_BYTE = 1, /* of a block */
+    BLOCK_UNIT_BYTE = 1, /* position in a block */
     BLOCK_DATA_BYTE = 2,
     BLOCK_BYTES = 4, /* without data */
     ALL_UNITS = 0xFE,

@@ -109,7 +109,7 @@ typedef struct {
 
 typedef struct {
     drive_state state;
-    uint32_t failures; /* in a row */
+    uint32_t failures; /* number of failures in a row */
     uint32_t last_failure;
     uint32_t last_exception;
     uint32_t joints; /* bit n: joint n of the core */
@@ -178,7 +178,7 @@ typedef struct line_machine {
     line_joint_state joint[JOINTS_MAX];
     setpoints newest;       /* the core's */
     uint64_t enabled_count; /* number of times that they became enabled */
-    int64_t now_ns;         /* of this step */
+    int64_t now_ns;         /* time of this step */
     line_control control;
     line_request request[LINE_REQUESTS_MAX]; /* the waiting ones; urgent ones first */
     uint32_t request_count;
@@ -196,9 +196,9 @@ typedef struct line_machine {
     int64_t silent_ns;    /* time when the line was last seen silent */
     bool noisy;           /* the urgent frame has gone out since then, without silence */
     int64_t urgent_by_ns; /* time when an urgent request goes out, silence or not; 0: none waits */
-    int64_t start_ns;     /* of the request in progress */
+    int64_t start_ns;     /* start of the request in progress */
     int64_t end_ns;       /* time of its last byte */
-    int64_t until_ns;     /* its deadline */
+    int64_t until_ns;     /* deadline of the answer */
     int64_t bound_ns;     /* waiting time for the turn-around */
     int64_t slot_due_ns;  /* time of the acyclic slot's turn */
     int64_t slot_period_ns;
@@ -209,7 +209,8 @@ typedef struct line_machine {
     uint64_t noise_bytes;
     uint32_t stray_bytes;
     uint8_t stray[FRAME_BYTES_MAX]; /* the newest bytes that belong to no answer */
-    int64_t round_trip_ns;          /* of the exchange that ended in this step; 0: none ended */
+    int64_t round_trip_ns;          /* duration of the exchange that ended in this step; 0: none
+                                       ended */
     line_transaction transaction;
     group_state group;
     uint32_t plain_cycles; /* number of complete plain reads until the next fast sync read */

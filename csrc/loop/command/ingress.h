@@ -8,7 +8,7 @@
 #include "rt.h"
 
 typedef struct {
-    int epoll_fd; /* of datagram sockets, epoll(7); -1: no sockets */
+    int epoll_fd; /* an epoll(7) of datagram sockets; -1: no sockets */
     int stop_fd;  /* -1: no socket */
 } ingress;
 

@@ -15,7 +15,7 @@ typedef struct {
 /* Input to the watchdog, once a tick. */
 typedef struct {
     int64_t now_ns;
-    int64_t heartbeat_ns;      /* of asyncio; 0: never */
+    int64_t heartbeat_ns;      /* time of asyncio's newest heartbeat; 0: never */
     bool enabled;              /* drives are to be enabled */
     uint64_t takes[LINES_MAX]; /* number of times that each line has taken its set-points */
 } watchdog_input;

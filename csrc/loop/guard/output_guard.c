@@ -12,7 +12,8 @@
 
 enum {
     EVENTS_A_TICK = 16
-}; /* of a contact that bounces: the kernel keeps this many, and the level shows the others */
+}; /* events of a contact that bounces: the kernel keeps this many, and the level shows the
+      others */
 
 void guard_init(guard *g, const guard_config *config)
 {
