@@ -140,8 +140,8 @@ static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
     return false;
 }
 
-/* Lower the channels that rest in this cycle, or whose joint's lines are about to change. All are
- * tried. Returns the first error. */
+/* Bring to rest the channels that rest in this cycle, or whose joint's lines are about to change.
+ * All are tried. Returns the first error. */
 static int bring_down(pwm_thread *t, const double *level, uint64_t bits, uint64_t mask)
 {
     int first = 0;

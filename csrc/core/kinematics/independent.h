@@ -28,8 +28,8 @@ void independent_take_limits(core_state *state, const core_control *control);
 void independent_own_limits(axis_limits *in_force, const core_config *config);
 /* Stop all joints in this step, and drop their targets. */
 void independent_halt(joints_state *joints, steer_state *steer, const core_config *config);
-/* Whether a command requests no motion: no position, and no speed but zero. A command with a value
- * that is not finite requests motion. */
+/* Whether a command requests no motion: no position, and no speed but zero. False if a value is not
+ * finite. */
 bool joint_command_zero(const joint_command *command, const core_config *config);
 bool joint_command_finite(const joint_command *command, const core_config *config);
 

@@ -373,8 +373,8 @@ class GuardedClient:
         return Answer(reply.values, stamp_ns, round_trip_s)
 
     def _leave_alone(self, request: Request, within_s: float) -> None:
-        """Keep the line silent for one more reply time of this unit after a failure or
-        cancellation."""
+        """Send this unit no request for one more reply time, after a failure or a cancellation.
+        After a broadcast, nothing is sent for BROADCAST_TURNAROUND_S."""
         if self._port is not None and self._port.is_stuck:
             self.close()  # a set-point must not go out later and move a motor
             self._lost = "takes no bytes"
