@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes the files that follow from api/*.h alone: words for the bits of the core, the records that
-it shows (both for programs without the core, in daemon/motord/api) and the tables of
-docs/state-page.md. Where motord is installed there is no header. `--check` only reports whether
-they are up to date."""
+"""Writes the files that follow from api/*.h alone: words for the bits of the core and the records
+that it shows (both for programs without the core, in daemon/motord/api), and the tables of
+docs/state-page.md. An installed motord has no headers. `--check` only reports whether the files are
+up to date."""
 
 import re
 import sys
@@ -57,7 +57,7 @@ MEANINGS = {
     "GYRO_*": "GyroState",
     "DERATED_BY_*": "DeratedBy",
 }
-"""What a field is in Python, by how its comment begins."""
+"""Beginning of a field's comment → type of the field in Python."""
 JSON = {
     "I64": "int = 0",
     "U32": "int = 0",
@@ -67,11 +67,11 @@ JSON = {
     "bool | None": "bool | None = None",
     "GyroState": 'str = ""',
 }
-"""And in an answer, which may be another version's."""
+"""Type in Python → type and default in an answer, which may be another version's."""
 
 
 def words() -> str:
-    """words.py."""
+    """Return the content of words.py."""
     text = WORDS
     for table, prefix in (("REASONS", "REASON"), ("FAULTS", "FAULT")):
         found = re.findall(rf"^    {prefix}_(\w+) = 1U? << (\d+),", HEADERS, re.MULTILINE)
@@ -81,13 +81,13 @@ def words() -> str:
 
 
 def number(name: str) -> str:
-    """Of an enum; what is no name of one stays as it is."""
+    """Return the value of a name of an enum; other texts unchanged."""
     found = re.search(rf"\b{name} = (\d+)", HEADERS) if name else None
     return found[1] if found else name
 
 
 def fields(struct: str) -> list[tuple[str, str, str, str]]:
-    """Type, name, count of an array and comment of each."""
+    """Return type, name, count of an array and comment of each field."""
     body = re.search(rf"typedef struct {{\n((?: .*\n)*)}} {struct};", HEADERS)[1]
     field = r"(\w+)\s+(\w+)(?:\[(\w+)\])?;(?: */\*((?s:.*?))\*/)?"
     if others := re.sub(field, "", body).strip():
@@ -99,7 +99,7 @@ def fields(struct: str) -> list[tuple[str, str, str, str]]:
 
 
 def records() -> str:
-    """records.py."""
+    """Return the content of records.py."""
     text = f"{RECORDS}PAGE_LAYOUT_VERSION = {number('PAGE_LAYOUT_VERSION')}\n"
     for struct, name, meaning in CLASSES:
         text += "\n\n@dataclass(frozen=True, slots=True, kw_only=True)\n"
@@ -116,14 +116,14 @@ def records() -> str:
 
 
 def size(kind: str) -> int:
-    """In bytes: csrc/core/snapshot.h makes sure that there is no padding."""
+    """Return the size in bytes: csrc/core/snapshot.h makes sure that there is no padding."""
     if kind in KINDS:
         return KINDS[kind][0]
     return sum(size(of) * int(count or 1) for of, _, count, _ in fields(kind))
 
 
 def table(found: re.Match[str]) -> str:
-    """Of a structure of the state page, with what stands before it."""
+    """Return the table of a structure of the state page, with the text before it."""
     text, at = f"`{found[1]}`, {size(found[1])} bytes{found[2]}", 0
     for kind, name, count, _ in fields(found[1]):
         text += f"| {at} | {kind}{count and f'[{count}]'} | `{name}` |\n"
@@ -132,14 +132,14 @@ def table(found: re.Match[str]) -> str:
 
 
 def page(text: str) -> str:
-    """docs/state-page.md."""
+    """Return the content of docs/state-page.md."""
     version = rf"\g<1>{number('PAGE_LAYOUT_VERSION')}"
     text = re.sub(r"(layout.version (?:\| )?)\d+", version, text)
     return re.sub(r"`(\w+)`, \d+ bytes((?s:.)*?\|---\|---\|---\|\n)(?:\|.*\n)+", table, text)
 
 
 def main() -> int:
-    """The exit status."""
+    """Write or check the files. Return the exit status."""
     api, docs = HERE.parent / "daemon/motord/api", HERE.parent / "docs/state-page.md"
     made = {api / "words.py": words(), api / "records.py": records()}
     made[docs] = page(docs.read_text(encoding="utf-8"))

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builds `_motord_bus` from api_bus.h, as build_ffi.py builds `_motord_rt`: commands from DDS to
-the daemon, for the second process, which loads nothing else of csrc/.
-"""
+"""Builds `_motord_bus` from api_bus.h, as build_ffi.py builds `_motord_rt`. It passes commands from
+DDS to the daemon, in the second process, which loads nothing else of csrc/."""
 
 import os
 import shlex

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builds `_motord_rt` from api/*.h by cffi in API mode: the C compiler checks every
-field's place.
+"""Builds `_motord_rt` from api/*.h by cffi in API mode: the C compiler checks the place of every
+field.
 
-ABI mode was tried and refused: two swapped fields went through silently.
+ABI mode was tried and rejected: it did not notice two swapped fields.
 `MOTORD_CFLAGS` adds compiler flags (sanitizers, -Werror in CI).
 """
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * rt.h: the api*.h for the C compiler; they have no preprocessor line, because cffi reads them
- * too. */
+ * rt.h: includes the api*.h for the C compiler. They have no preprocessor line, because cffi reads
+ * them, too. */
 #ifndef MOTORD_RT_H
 #define MOTORD_RT_H
 

@@ -1,37 +1,36 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api.h: the border between Python and C; what the core computes with is in api_core.h, the gyro in
- * api_imu.h, what a joint's feedback comes to in api_feedback.h, joints that take positions in
- * api_position.h, speed loops in api_speed_loop.h, derating in api_derating.h, the loop and its
- * exchange in api_loop.h, commands in api_command.h, serial lines in api_line.h. Two readers: the C
- * compiler (through rt.h) and cffi (through build_ffi.py). So all hold typedefs, enums, comments
+ * api.h: the border between Python and C. The data of the computations are in api_core.h, the gyro
+ * in api_imu.h, the evaluation of a joint's feedback in api_feedback.h, joints that take positions
+ * in api_position.h, speed loops in api_speed_loop.h, derating in api_derating.h, the loop and its
+ * exchange in api_loop.h, commands in api_command.h, serial lines in api_line.h. The C compiler
+ * (through rt.h) and cffi (through build_ffi.py) read them. So they hold typedefs, enums, comments
  * and prototypes, and no preprocessor line.
  *
- * Every physical number wears its unit. Time is CLOCK_MONOTONIC in nanoseconds; a stamp of 0 means
- * "never". Angles and wheel speeds are at the wheel (after the gear), positive when the robot
- * drives forward. The base's frame is that of REP 103: x forward, y to the left, turns
+ * The name of a physical number ends in its unit. Time is CLOCK_MONOTONIC in nanoseconds; a stamp
+ * of 0 means "never". Angles and wheel speeds are at the wheel (after the gear), positive when the
+ * robot drives forward. The base's frame is that of REP 103: x forward, y to the left, turns
  * counterclockwise. A twist is (linear, lateral, angular): along x, along y, about z. `u` in a name
- * stands for the axis's own unit: m on the first two, rad on the angular one.
- */
+ * stands for the axis's own unit: m on the first two, rad on the angular one. */
 
 enum { LINES_MAX = 4, COMMAND_SOCKETS = 19, FIELD_NAME_BYTES = 64 };
 
 /* ------------------------------------------------------------------------------------- reasons
- * Why the set-point differs from the request. Bits of robot_state.reasons; true for this tick
+ * Why the set-point differs from the request. Bits of robot_state.reasons, valid for this tick
  * only. */
 enum {
     REASON_LINEAR_VELOCITY = 1 << 0,     /* [limits] linear_m_s */
     REASON_LINEAR_ACCELERATION = 1 << 1, /* [limits] linear_m_s2 */
     REASON_LINEAR_DECELERATION = 1 << 2, /* [limits] linear_deceleration_m_s2 */
     REASON_LINEAR_JERK = 1 << 3,         /* [limits] linear_m_s3 */
-    REASON_ANGULAR_VELOCITY = 1 << 4,    /* the same four, angular */
+    REASON_ANGULAR_VELOCITY = 1 << 4,    /* for angular motion, like the next three */
     REASON_ANGULAR_ACCELERATION = 1 << 5,
     REASON_ANGULAR_DECELERATION = 1 << 6,
     REASON_ANGULAR_JERK = 1 << 7,
     REASON_WHEEL_SATURATED = 1 << 8,   /* a wheel's limit scaled the whole twist: curvature kept */
     REASON_DUTY_CLAMPED = 1 << 9,      /* [joint] duty_min / duty_max */
     REASON_DUTY_SLEW = 1 << 10,        /* [joint] duty_slew_per_s */
-    REASON_LATERAL_VELOCITY = 1 << 11, /* the same four, lateral */
+    REASON_LATERAL_VELOCITY = 1 << 11, /* for lateral motion, like the next three */
     REASON_LATERAL_ACCELERATION = 1 << 12,
     REASON_LATERAL_DECELERATION = 1 << 13,
     REASON_LATERAL_JERK = 1 << 14,
@@ -41,52 +40,56 @@ enum {
     REASON_STOP_REQUESTED = 1 << 17, /* control.stop */
     /* no command, or older than its lifetime or command_timeout_s */
     REASON_COMMAND_STALE = 1 << 18,
-    REASON_COMMAND_NOT_FINITE = 1 << 19, /* NaN or infinity in the command: read as zero */
+    REASON_COMMAND_NOT_FINITE = 1 << 19, /* NaN or infinity in the command: it counts as zero */
     REASON_FAULT = 1 << 20,              /* a latched fault: see robot_state.faults */
-    REASON_STEERING = 1 << 21,  /* the wheels do not point there yet: it drives slower, or waits */
-    REASON_CURVATURE = 1 << 22, /* the range of its steering does not allow so tight a curve: a
+    REASON_STEERING = 1 << 21,  /* a wheel does not point in its direction yet: the base drives
+                                   slower, or waits */
+    REASON_CURVATURE = 1 << 22, /* the steering cannot reach so tight a curve: the base drives a
                                    wider one */
     REASON_TURN_IMPOSSIBLE = 1 << 23,  /* this base cannot turn on the spot: the angular part of the
                                           command is left out */
     REASON_POSITION_UNKNOWN = 1 << 24, /* a joint's position is unknown: see
                                           robot_state.steering.unknown */
     REASON_DERATED = 1 << 25,          /* [joint] derating: see robot_state.derating */
-    REASON_JOINT_VELOCITY = 1 << 26, /* the next three of joints without a base: velocity_max_rad_s
-                                        of one */
-    REASON_JOINT_ACCELERATION = 1 << 27, /* its acceleration, deceleration or jerk */
-    REASON_JOINT_POSITION = 1 << 28, /* position_min_rad or position_max_rad: it goes to that end */
+    REASON_JOINT_VELOCITY = 1 << 26, /* for joints without a base, like the next two:
+                                        velocity_max_rad_s of a joint */
+    REASON_JOINT_ACCELERATION = 1 << 27, /* acceleration, deceleration or jerk of a joint */
+    REASON_JOINT_POSITION = 1 << 28, /* position_min_rad or position_max_rad: the joint goes to that
+                                        end */
 };
-/* The base is to rest, whatever was requested. */
+/* Bits of the reasons for which the base has to rest, whatever was requested. */
 enum { REASONS_TO_STAND = 0x11F0000 };
 
-/* Faults are latched: cleared only by a rising reset_count with every cause gone and a command
- * of zero. */
+/* Faults are latched: only a rising reset_count clears them, with every cause gone and a command of
+ * zero. */
 enum {
     FAULT_ESTOP = 1 << 0,          /* control.estop was seen */
-    FAULT_HEARTBEAT_LOST = 1 << 1, /* asyncio has not beaten for heartbeat_timeout_s while armed */
+    FAULT_HEARTBEAT_LOST = 1 << 1, /* no heartbeat from asyncio for heartbeat_timeout_s while
+                                      armed */
     FAULT_FEEDBACK_STALE = 1 << 2, /* a joint has sent no feedback for feedback_timeout_s while
                                       armed */
     FAULT_DRIVE = 1 << 3, /* a drive reports a fault (joint_feedback.drive_faults) while armed */
-    FAULT_DRIVE_DISABLED = 1 << 4, /* a drive reports that it is not enabled while armed: not
-                                      requested */
+    FAULT_DRIVE_DISABLED = 1 << 4, /* a drive reports that it is not enabled while armed, without a
+                                      request */
     FAULT_TIME_STEP = 1 << 5,      /* dt was NaN, infinite, zero or negative */
     FAULT_EXTERNAL = 1 << 6, /* control.fault: raised by the daemon (a line lost, a check failed) */
-    FAULT_STATE = 1 << 7,    /* a value inside the core was not finite: must not happen; rest */
-    FAULT_OVERSPEED = 1 << 8, /* a wheel that a torque turns is far beyond its limit: a wrong sign,
-                                 a slope */
+    FAULT_STATE = 1 << 7,    /* a value inside the core was not finite, which must not happen: the
+                                base rests */
+    FAULT_OVERSPEED = 1 << 8, /* a wheel driven by torque is far beyond its limit: a wrong sign, a
+                                 slope */
     FAULT_DIRECTION = 1 << 9, /* a wheel turns against its set-point */
     FAULT_STALL = 1 << 10,    /* a wheel does not turn */
     FAULT_FOLLOWING_ERROR = 1 << 11, /* a wheel is much slower than its set-point and comes no
                                         nearer */
     FAULT_RUNAWAY = 1 << 12, /* a wheel is much faster than its set-point: the power goes off at
                                 once */
-    FAULT_IMPLAUSIBLE_FEEDBACK = 1 << 13, /* a counter jumps, or its speed is not the one that the
-                                             drive reports */
+    FAULT_IMPLAUSIBLE_FEEDBACK = 1 << 13, /* a counter jumps, or its speed differs from the one that
+                                             the drive reports */
     FAULT_SUSPENDED = 1 << 14,        /* the computer was suspended: set-points are zero at once */
-    FAULT_POSITION_UNKNOWN = 1 << 15, /* a joint that takes positions: its position became unknown
+    FAULT_POSITION_UNKNOWN = 1 << 15, /* the position of a joint that takes positions became unknown
                                          while armed */
 };
-/* DIRECTION to IMPLAUSIBLE_FEEDBACK: what is measured is not trusted; see robot_state.doubt */
+/* DIRECTION to IMPLAUSIBLE_FEEDBACK: the measured values are not trusted; see robot_state.doubt */
 enum { FAULTS_OF_FEEDBACK = 0x3E00 };
 
 /* ------------------------------------------------------------------------ configuration */
@@ -108,11 +111,11 @@ typedef struct {
 typedef struct {
     axis_limits linear;  /* u = m */
     axis_limits angular; /* u = rad */
-    axis_limits lateral; /* u = m; a base that cannot move sideways does not use it */
+    axis_limits lateral; /* u = m; unused for a base that cannot move sideways */
 } base_limits;
 
-/* How a wheel of a base without modules rolls: the rim's speed is x linear + y lateral + lever_m
- * angular. A wheel of two sides: (1, 0, -+ track / 2). Lynch & Park, Modern Robotics, 2017,
+/* Rolling of a wheel of a base without modules: the rim's speed is x linear + y lateral + lever_m
+ * angular. For a wheel of two sides: (1, 0, -+ track / 2). Lynch & Park, Modern Robotics, 2017,
  * 13.2: any wheel at any place, with or without rollers. */
 typedef struct {
     double x;
@@ -124,7 +127,7 @@ typedef struct {
     double dead_band;  /* 0..1: duty at which the motor just turns; the output jumps over it */
     double duty_min;   /* -1..0: 0 for an output that cannot reverse */
     double duty_max;   /*  0..1 */
-    double slew_per_s; /* > 0; away from zero only, towards zero is never slowed; INFINITY: none */
+    double slew_per_s; /* > 0; limits only growth away from zero; INFINITY: no limit */
     double full_duty_rad_s; /* > 0: wheel speed at duty 1 (open-loop map) */
 } pwm_config;
 
@@ -133,7 +136,7 @@ typedef struct {
     double wheel_radius_m;     /* > 0 */
     double velocity_min_rad_s; /* <= 0: 0 for a joint that cannot reverse */
     double velocity_max_rad_s; /* > 0 */
-    /* signed, not 0: gear and inversion are in it. Unused without a counter */
+    /* signed, not 0: includes gear and inversion. Unused without a counter */
     double rad_per_count;
     uint32_t counter_bits; /* 8, 12, 15, 16, 24, 32, 64; 0: no counter: odometry from measured
                               velocity or set-point */
@@ -143,44 +146,44 @@ typedef struct {
     plausible_config plausible;
     position_config position;
     derating_config derating;
-    axis_limits own; /* of a joint without a base that takes velocities: u = rad; velocity_*_rad_s
+    axis_limits own; /* for a joint without a base that takes velocities: u = rad; velocity_*_rad_s
                         bound its velocity, too */
 } joint_config;
 
 typedef struct {
-    uint32_t joint_count; /* 2..JOINTS_MAX, or 1 without a base; their rows say how it moves:
-                             forward, about, sideways */
+    uint32_t joint_count; /* 2..JOINTS_MAX, or 1 without a base; the joints' rows define how the
+                             base moves: forward, about, sideways */
     base_limits limits;
     double command_timeout_s;   /* > 0 */
     double feedback_timeout_s;  /* > 0 */
     double heartbeat_timeout_s; /* > 0 */
     double rest_velocity_rad_s; /* > 0: a wheel slower than this is at rest */
     stop_action on_timeout;     /* command stale, stop requested */
-    stop_action on_fault;       /* every latched fault but the e-stop */
+    stop_action on_fault;       /* for every latched fault but the e-stop */
     stop_action on_estop;
     /* odometry error model, Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4 */
     double distance_variance_m2_per_m;  /* > 0: variance of a wheel's travel per metre of it; wheels
-                                           that do the same share it */
+                                           with the same row share it */
     double turn_variance_rad2_per_rad;  /* > 0: heading variance per radian turned (scrub, track
                                            error) */
-    double pose_variance_floor_m2;      /* > 0: x and y start here and never fall below */
+    double pose_variance_floor_m2;      /* > 0: initial and least variance of x and y */
     double heading_variance_floor_rad2; /* > 0 */
     double twist_variance_floor_m2_s2;  /* > 0 */
     double twist_variance_floor_rad2_s2; /* > 0 */
     gyro_config gyro;
-    uint32_t module_count; /* 0: a base without steering, whose joints' rows count;
-                              else 1..JOINTS_MAX */
-    uint32_t independent;  /* 1: no base: each joint moves for itself, also a single one; rows and
-                              modules do not count */
-    wheel_module module[JOINTS_MAX]; /* each joint once: as a traction joint, or as a steering joint
-                                        that takes positions */
+    uint32_t module_count; /* 0: a base without steering, which uses the joints' rows; else
+                              1..JOINTS_MAX */
+    uint32_t independent;  /* 1: no base: each joint, also a single one, moves for itself; rows and
+                              modules are unused */
+    wheel_module module[JOINTS_MAX]; /* each joint appears once: as a traction joint, or as a
+                                        steering joint that takes positions */
     joint_config joint[JOINTS_MAX];
 } core_config;
 
 /* ------------------------------------------------------------------------------- inputs */
 typedef struct {
-    int64_t stamp_ns;   /* when the command was given; older than the timeout: rest */
-    int64_t expires_ns; /* end of the lease it was given under; later than this: rest */
+    int64_t stamp_ns;   /* time when the command was given; older than the timeout: rest */
+    int64_t expires_ns; /* end of the lease of the command; later than this: rest */
     uint64_t sequence;  /* grows with each command of the arbiter */
     double linear_m_s;
     double angular_rad_s;
@@ -188,7 +191,7 @@ typedef struct {
 } twist_command;
 
 typedef struct {
-    int64_t heartbeat_ns; /* last beat of asyncio */
+    int64_t heartbeat_ns; /* time of asyncio's newest heartbeat */
     uint32_t armed;       /* level; the core arms on its rising edge and only when all is well */
     uint32_t stop;        /* level: come to rest, stay armed */
     uint32_t estop;       /* level; latched by the core */
@@ -201,17 +204,17 @@ typedef struct {
     uint32_t release; /* level: a disarm is requested, so a hold after a fault (STOP_HOLD) ends at
                          rest as well */
     uint32_t reserved;
-    base_limits limits;   /* replace the configured ones as a group; refused by base_limits_check:
-                             kept */
-    uint32_t gains_count; /* a change puts `gains` in force, of all joints or, where one is out of
-                             range, of none */
-    uint32_t joint_limits_count; /* the same of `joint_limits` */
+    base_limits limits;   /* replace the configured ones as a group; if base_limits_check refuses
+                             them, the old ones stay */
+    uint32_t gains_count; /* a change puts `gains` in force for all joints or, if one is out of
+                             range, for no joint */
+    uint32_t joint_limits_count; /* the same for `joint_limits` */
     speed_loop_gains gains[JOINTS_MAX];
-    axis_limits joint_limits[JOINTS_MAX]; /* of joints without a base; those that take positions
-                                             brake as they accelerate */
+    axis_limits joint_limits[JOINTS_MAX]; /* for joints without a base; those that take positions
+                                             brake with their acceleration */
 } core_control;
 
-/* what a drive may report beside position; a value that it does not report is NaN */
+/* The report of a drive on one joint. A value that it does not report is NaN. */
 typedef struct {
     int64_t stamp_ns; /* middle of the exchange that brought it; 0: never received */
     uint64_t count;   /* raw position counter, lowest counter_bits valid */
@@ -219,22 +222,24 @@ typedef struct {
     double current_a;
     double voltage_v;
     double temperature_c;
-    uint32_t epoch;        /* another number: the counter's origin may have moved; seed again */
-    uint32_t enabled;      /* 1 the drive reports enabled, 0 not enabled, 2 it cannot report it */
-    uint32_t drive_faults; /* the drive's fault word; 0 none */
-    uint32_t referenced; /* 1 the drive reports that its counter has a reference (homed), 0 that it
-                            has none, 2 it cannot report it */
+    uint32_t epoch;        /* another number: the counter's origin may have moved, so counting
+                              begins anew */
+    uint32_t enabled;      /* 1: the drive reports enabled; 0: not enabled; 2: it cannot report
+                              it */
+    uint32_t drive_faults; /* the drive's fault word; 0: no fault */
+    uint32_t referenced; /* 1: the drive reports that its counter has a reference (homed); 0: that
+                            it has no reference; 2: it cannot report it */
 } joint_feedback;
 
 typedef struct {
-    int64_t now_ns; /* this tick */
+    int64_t now_ns; /* time of this tick */
     twist_command command;
     core_control control;
     joint_feedback feedback[JOINTS_MAX];
     imu_sample imu;
-    /* in place of the twist where there is no base; `command` has its stamps */
+    /* in place of the twist if there is no base; `command` has the stamps */
     joint_command joints;
-    uint32_t suspended; /* 1: the computer was suspended since the tick before */
+    uint32_t suspended; /* 1: the computer was suspended since the last tick */
     uint32_t reserved;
 } core_input;
 
@@ -242,20 +247,20 @@ typedef struct {
 typedef struct {
     double velocity_rad_s; /* 0 unless armed */
     double duty;           /* -1..1, the same set-point through the PWM map; 0 unless armed */
-    double torque_n_m; /* at the wheel, the same set-point through the speed loop; 0 unless armed */
+    double torque_n_m; /* at the wheel: the same set-point through the speed loop; 0 unless armed */
 } joint_setpoint;
 
 typedef struct {
-    int64_t stamp_ns; /* time of its tick; a line sends zero when this is old */
+    int64_t stamp_ns; /* time of its tick; when this is old, a line sends zero */
     uint64_t tick;
-    uint32_t enabled; /* 0: the line takes the power off its drives now */
+    uint32_t enabled; /* 0: the line switches its drives' power off now */
     uint32_t joint_count;
     joint_setpoint joint[JOINTS_MAX];
-    /* of joints that take positions, in their own frame, within all limits;
-     * joint[n].velocity_rad_s is how fast that moves */
+    /* for joints that take positions, in their own frame, within all limits;
+     * joint[n].velocity_rad_s is the speed of this motion */
     double position_rad[JOINTS_MAX];
-    uint32_t positioned; /* bit n: position_rad[n] counts; 0, as built: joint n stays where it is,
-                            held where it has power */
+    uint32_t positioned; /* bit n: position_rad[n] is valid; 0, as at the start: joint n stays at
+                            its place, held if it has power */
     uint32_t reserved;
 } setpoints;
 
@@ -274,28 +279,28 @@ typedef struct {
     uint32_t jumps;   /* counter jumps refused so far */
 } joint_state;
 
-/* What a base that moves sideways has beside the rest; zero for others, but for the slip. */
+/* Further values of a base that moves sideways; zero for other bases, except the slip. */
 typedef struct {
-    double wanted_m_s; /* the command as it came in, 0 when stale or not finite */
+    double wanted_m_s; /* the command as it came in; 0 when stale or not finite */
     double setpoint_m_s;
     double measured_m_s;
-    double slip_m_s; /* of the rims against each other, root mean square: what no motion of the base
-                        explains */
-    double covariance[3]; /* of the measured twist: with linear, its own, with angular */
+    double slip_m_s; /* root mean square of the rims' speeds that no motion of the base explains */
+    double covariance[3]; /* of the measured lateral speed: with linear, with itself, with
+                             angular */
 } lateral_state;
 
-/* Of joints that take positions; zero where there are none. */
+/* State of joints that take positions; zero if there are no such joints. */
 typedef struct {
-    double setpoint_rad[JOINTS_MAX]; /* NaN: none */
-    double misaligned_rad; /* how far the worst wheel does not point to where it is to roll;
-                              INFINITY: not known yet */
-    uint32_t joints;  /* bit n: joint n takes positions; joint[n].position_rad is its angle then */
-    uint32_t unknown; /* bit n: where joint n is is not known */
+    double setpoint_rad[JOINTS_MAX]; /* NaN: no set-point */
+    double misaligned_rad; /* greatest angle between a wheel and its wanted direction; INFINITY: not
+                              known yet */
+    uint32_t joints;  /* bit n: joint n takes positions; joint[n].position_rad is then its angle */
+    uint32_t unknown; /* bit n: the position of joint n is unknown */
 } steering_state;
 
 enum { PAGE_LAYOUT_VERSION = 1 };
-/* The snapshot: what the core knows after a tick; the payload of the state page. A layout version
- * grows at its end. */
+/* The snapshot: the state of the core after a tick, and the payload of the state page. A new layout
+ * version only adds fields at the end. */
 typedef struct {
     int64_t stamp_ns; /* this tick */
     uint64_t tick;
@@ -303,7 +308,7 @@ typedef struct {
     uint32_t owner;
     uint32_t reasons; /* REASON_* */
     uint32_t faults;  /* FAULT_*, latched */
-    uint32_t armed;   /* 1: by the core's own word */
+    uint32_t armed;   /* 1: the core itself is armed */
     uint32_t enabled; /* 1: the drives are to have power */
     uint32_t at_rest; /* 1: set-points are zero and every fresh wheel is slower than
                          rest_velocity_rad_s */
@@ -316,8 +321,8 @@ typedef struct {
     double wanted_angular_rad_s;
     double setpoint_linear_m_s; /* after limits and saturation */
     double setpoint_angular_rad_s;
-    double saturation;         /* common factor, 1: none */
-    int64_t odometry_stamp_ns; /* the newest feedback that is in the pose */
+    double saturation;         /* common factor of all wheels; 1: no saturation */
+    int64_t odometry_stamp_ns; /* stamp of the newest feedback that is in the pose */
     double x_m;
     double y_m;
     double heading_rad; /* -pi..pi */
@@ -334,5 +339,5 @@ typedef struct {
     steering_state steering;
     speed_loop_shown speed_loop[JOINTS_MAX];
     derating_shown derating;
-    reasons_shown reason; /* when each of `reasons` began */
+    reasons_shown reason; /* start time of each of `reasons` */
 } robot_state;

@@ -1,13 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_command.h: the part of the border by which commands come in. Read after api.h, and like it:
- * typedefs, enums, comments and prototypes, no preprocessor line.
- */
+ * api_command.h: the part of the border through which commands come in. Read after api.h, and like
+ * it: typedefs, enums, comments and prototypes, no preprocessor line. */
 
-/* ------------------------------------------------------------------------------------ commands
- * What may command is decided in the loop's thread, for every source alike: a command is a datagram
- * under a lease. Python grants leases and ends them; which of them is in command, and whether it
- * may move anything, is decided here. */
+/* ------------------------------------------------------------------------------------ commands The
+ * loop's thread decides which source commands, by the same rules for every source: a command is a
+ * datagram under a lease. Python starts and ends leases; which of them is in command, and whether
+ * it may move anything, is decided here. */
 enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_MAGIC = 0x434D544D };
 enum { COMMAND_VERSION = 2, COMMAND_VERSION_PLANE = 1, COMMAND_VERSION_POSITIONS = 3 };
 enum {
@@ -19,23 +18,23 @@ enum {
 
 typedef enum { COMMAND_TWIST = 1, COMMAND_RELEASE = 2, COMMAND_JOINTS = 3 } command_kind;
 
-/* One datagram, little-endian as the machine is. docs/commands.md. COMMAND_VERSION_PLANE ends
+/* One datagram, little-endian like the machine; see docs/commands.md. COMMAND_VERSION_PLANE ends
  * before lateral_m_s, which is 0. */
 typedef struct {
     uint32_t magic;             /* COMMAND_MAGIC: "MTMC" */
     uint16_t version;           /* COMMAND_VERSION, or COMMAND_VERSION_PLANE */
     uint16_t kind;              /* command_kind */
-    uint8_t token[TOKEN_BYTES]; /* of the lease */
-    uint64_t sequence;          /* greater than the one before, modulo 2^64; never 0 */
-    int64_t stamp_ns;           /* CLOCK_MONOTONIC when it was given */
-    uint32_t lifetime_ms;       /* 0: the lease's; more than it: refused */
+    uint8_t token[TOKEN_BYTES]; /* token of the lease */
+    uint64_t sequence;          /* greater than the previous one, modulo 2^64; never 0 */
+    int64_t stamp_ns;           /* CLOCK_MONOTONIC when the command was given */
+    uint32_t lifetime_ms;       /* 0: that of the lease; a longer one is refused */
     uint32_t reserved;
     double linear_m_s;
     double angular_rad_s;
     double lateral_m_s;
 } command_datagram;
 
-/* COMMAND_JOINTS: the same head in either version, and what each wheel shall do. */
+/* COMMAND_JOINTS: the same head in either version, and a velocity for each wheel. */
 typedef struct {
     uint32_t magic;
     uint16_t version;
@@ -46,30 +45,31 @@ typedef struct {
     uint32_t lifetime_ms;
     uint32_t joint_count;              /* the robot's */
     double velocity_rad_s[JOINTS_MAX]; /* in the order of the robot file; those beyond joint_count
-                                          do not count */
+                                          are ignored */
 } joint_datagram;
 
 /* COMMAND_JOINTS in COMMAND_VERSION_POSITIONS: the same, and angles of joints that take positions.
- * A robot with a base has none to command; one without takes these for each joint by what it
+ * A robot with a base accepts no angles; without a base, each joint uses the kind of value that it
  * takes. */
 typedef struct {
     joint_datagram head;
     double position_rad[JOINTS_MAX];
-    uint32_t velocities; /* bit n: velocity_rad_s[n] counts; else joint n comes to rest */
-    uint32_t positions;  /* bit n: position_rad[n] counts; else joint n goes on to the position that
-                            this lease gave it */
+    uint32_t velocities; /* bit n: velocity_rad_s[n] is used; else joint n comes to rest */
+    uint32_t positions;  /* bit n: position_rad[n] is used; else joint n continues to the position
+                            that this lease gave it */
 } joint_position_datagram;
 
 typedef struct {
     uint8_t token[TOKEN_BYTES];
     uint32_t number;           /* grows with each lease of the daemon, from 1; 0: no lease */
-    uint32_t priority;         /* the higher one commands; among equals the first */
-    int64_t lifetime_ns;       /* of a command under it, at most */
-    int64_t interval_least_ns; /* commands that come more often are refused, but for zero; 0: no
+    uint32_t priority;         /* the lease with the highest priority commands; among equals the
+                                  first */
+    int64_t lifetime_ns;       /* longest lifetime of a command under it */
+    int64_t interval_least_ns; /* commands that come more often are refused, except zero; 0: no
                                   limit */
-    int64_t barred_until_ns; /* its owner was held when another lease of the owner ended: until then
+    int64_t barred_until_ns; /* the owner was held when another of its leases ended: until this time
                                 this lease is held, too, if its next command is motion. Only a later
-                                time counts */
+                                time replaces it */
 } lease_permission;
 
 typedef struct {
@@ -77,16 +77,16 @@ typedef struct {
 } lease_permissions;
 
 typedef enum {
-    REFUSED_FORM = 0, /* length, magic, version, kind */
+    REFUSED_FORM = 0, /* wrong length, magic, version or kind */
     REFUSED_TOKEN = 1,
-    REFUSED_SEQUENCE = 2, /* 0, or not greater than the last one's */
-    REFUSED_AGE = 3,      /* from the future, or older than its lifetime */
+    REFUSED_SEQUENCE = 2, /* 0, or not greater than the last one */
+    REFUSED_AGE = 3,      /* stamp from the future, or older than its lifetime */
     REFUSED_LIFETIME = 4,
-    REFUSED_NOT_FINITE = 5, /* and the lease commands zero */
-    REFUSED_JOINTS = 6, /* another number of them, or a command that these joints cannot carry out:
-                           it commands zero, too */
-    REFUSED_RATE = 7,   /* more often than the lease allows; the one before goes on */
-    REFUSED_OUT_OF_RANGE = 8, /* more than ten times the limit: it commands zero, too */
+    REFUSED_NOT_FINITE = 5, /* not finite: the lease then commands zero */
+    REFUSED_JOINTS = 6, /* wrong number of joints, or a command that these joints cannot carry out:
+                           the lease then commands zero */
+    REFUSED_RATE = 7,   /* more often than the lease allows; the previous command stays in force */
+    REFUSED_OUT_OF_RANGE = 8, /* more than ten times the limit: the lease then commands zero */
     REFUSAL_KINDS = 9
 } command_refusal;
 
@@ -94,65 +94,68 @@ typedef enum {
 typedef struct {
     uint32_t number; /* 0: no lease */
     uint32_t held;   /* its command counts as zero until it has requested zero */
-    uint32_t fresh;  /* a command of it is alive */
+    uint32_t fresh;  /* a command under it is valid */
     uint32_t priority;
-    uint64_t since;    /* order in which the leases came alive; among equals the lowest commands */
-    uint64_t sequence; /* of the newest command; 0: there was none */
+    uint64_t since;    /* order in which the leases became active; among equals the lowest
+                          commands */
+    uint64_t sequence; /* number of the newest command; 0: no command yet */
     int64_t stamp_ns;
     int64_t expires_ns;
-    int64_t taken_ns;    /* when it came */
-    int64_t interval_ns; /* from one to the next, smoothed; 0: fewer than two have come */
-    int64_t due_ns;      /* earliest time of the next one, at the allowed rate */
-    int64_t lifted_ns;   /* the newest such time that a command has come after; 0: none */
-    double linear_m_s;   /* as requested */
+    int64_t taken_ns;    /* time when it came */
+    int64_t interval_ns; /* smoothed time between commands; 0: fewer than two have come */
+    int64_t due_ns;      /* earliest time of the next command, at the allowed rate */
+    int64_t lifted_ns;   /* newest barred_until_ns that `held` already includes; 0: none */
+    double linear_m_s;   /* the requested motion */
     double angular_rad_s;
     double lateral_m_s;
     joint_command joints;
-    uint32_t wants_motion; /* it requests something else than zero */
+    uint32_t wants_motion; /* whether it requests anything but zero */
     uint32_t reserved;
 } lease_state;
 
 typedef struct {
-    uint32_t commander; /* number of the lease in command; 0: none */
-    uint32_t may_move;  /* a source that requests motion now is not held */
+    uint32_t commander; /* number of the lease in command; 0: no lease */
+    uint32_t may_move;  /* whether a source that requests motion now is not held */
     uint64_t accepted;
     uint64_t refused[REFUSAL_KINDS];
-    uint64_t sideways; /* accepted, but the lateral part counts as zero: this base cannot move
+    uint64_t sideways; /* accepted, but without their lateral part: this base cannot move
                           sideways */
-    uint64_t on_spot;  /* the same of a turn on the spot */
+    uint64_t on_spot;  /* the same for a turn on the spot */
     lease_state lease[LEASES_MAX];
 } command_report;
 
 typedef struct {
     lease_permissions permissions;
-    const core_config *base; /* whose joints are commanded; none: no command of joints is obeyed */
-    /* in force now, beside those of `base`; none: those of `base` alone */
+    const core_config *base; /* configuration of the commanded joints; NULL: commands of joints are
+                                refused */
+    /* limits in force now, beside those of `base`; NULL: those of `base` alone */
     const base_limits *limits;
-    uint64_t comers;       /* leases that have come alive so far */
-    int64_t last_stamp_ns; /* of the command before */
-    int64_t resumed_ns; /* a command from before is refused; 0: the computer was never suspended */
+    uint64_t comers;       /* leases that have become active so far */
+    int64_t last_stamp_ns; /* stamp of the previous command */
+    int64_t resumed_ns; /* commands from before this time are refused; 0: the computer was never
+                           suspended */
     command_report report;
 } arbiter;
 
-/* `base` and `limits` may be none, and else stay the caller's for as long as the arbiter is
- * used. */
+/* Set an arbiter up. `base` and `limits` may be NULL; else they must exist as long as the arbiter
+ * is used. */
 void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits);
-/* New leases begin, those that are missing end; the others go on. */
+/* Start the leases that are new, and end those that are missing; the others continue. */
 void arbiter_grant(arbiter *a, const lease_permissions *permissions);
-/* 0, or 1 + command_refusal. */
+/* Take a command. Returns 0, or 1 + command_refusal. */
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move);
-/* The computer was suspended: commands from before do not count any more. */
+/* Drop the commands from before a suspend of the computer. */
 void arbiter_resume(arbiter *a, int64_t resumed_ns);
-/* Once a tick, after new commands were submitted: which lease commands, and what. */
+/* Decide once a tick, after new commands were submitted, which lease commands, and what. */
 void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *out);
-/* After it, of a robot without a base: what that lease commands its joints to do. */
+/* Return, after arbiter_command(), the joint command of that lease, for a robot without a base. */
 void arbiter_joints(const arbiter *a, joint_command *out);
 
-/* The twist of wheel speeds, twist_u_s[AXES]. False: there is none, for the wheels turn against
- * each other. A speed that is not finite makes a twist that is not. */
+/* Return the twist of wheel speeds, twist_u_s[AXES]. False: there is no such twist, because the
+ * wheels turn against each other. A speed that is not finite makes the twist not finite. */
 bool joints_twist(const core_config *base, const double *velocity_rad_s, double *twist_u_s);
 
-/* Mailboxes of the exchange, as those of api.h. */
+/* Mailboxes of the exchange, like those of api_loop.h. */
 /* asyncio â†’ loop */
 void exchange_put_permissions(exchange *x, const lease_permissions *permissions);
 int exchange_take_permissions(exchange *x, lease_permissions *out);
@@ -160,9 +163,8 @@ void exchange_put_commands(exchange *x, const command_report *report); /* loop â
 int exchange_take_commands(exchange *x, command_report *out);
 
 /* ------------------------------------------------------------------------------- stop requests
- * Datagrams on a socket that takes nothing else, read by the loop itself. docs/commands.md. They
- * can only take motion away. Each is in force from the tick that reads it until asyncio has
- * acknowledged it. */
+ * Datagrams on a separate socket, which the loop reads itself; see docs/commands.md. They can only
+ * stop motion. Each is in force from the tick that reads it until asyncio has acknowledged it. */
 enum {
     STOP_REQUEST_MAGIC = 0x5153544D,
     STOP_REQUEST_VERSION = 1,

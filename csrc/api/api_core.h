@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_core.h: the pure computations of the core, and the state that they keep between two ticks.
+ * api_core.h: the pure computations of the core, and their state from one tick to the next.
  * Read after api.h, and like it: typedefs, enums, comments and prototypes, no preprocessor line.
  */
 
@@ -8,46 +8,46 @@ enum { AXIS_LINEAR = 0, AXIS_ANGULAR = 1, AXIS_LATERAL = 2, AXES = 3 };
 
 typedef struct {
     double velocity_u_s;
-    double acceleration_u_s2; /* of the last step */
+    double acceleration_u_s2; /* acceleration of the previous step */
 } limit_state;
 
-/* One step of a twist, axis[AXES], along the straight line to goal_u_s[AXES]; returns the REASON
- * bit of the limit that bound it, 0 when it has arrived. The goal is within the limits of velocity;
- * one that is not finite counts as zero. axes: how many of them move, in the order of AXIS_*.
- * slewed: the base whose duty slews bind too, or NULL. urgent: leave out the jerk limits
- * (faults). dt_s > 0. */
+/* Do one step of a twist, axis[AXES], along the straight line to goal_u_s[AXES]. Returns the REASON
+ * bit of the limit that bound it, 0 at the goal. The goal is within the limits of velocity; a
+ * component that is not finite counts as zero. `axes`: number of axes that move, in the order of
+ * AXIS_*. `slewed`: the base whose duty slews bind, too, or NULL. `urgent`: leave out the jerk
+ * limits (faults). dt_s > 0. */
 uint32_t ramp_step(limit_state *axis, uint32_t axes, const base_limits *limits,
                    const core_config *slewed, const double *goal_u_s, double dt_s, bool urgent);
 
-/* The common factor 0..1 by which all wheels must be scaled so that each is within its limits. */
+/* Return the common factor 0..1 that scales all wheels to within their limits. */
 double saturate_factor(const double *want_rad_s, const joint_config *joint, uint32_t count);
 
-/* wheel speeds of a twist, twist_u_s[AXES] */
+/* Compute the wheel speeds of a twist, twist_u_s[AXES]. */
 void kinematics_wheels(const core_config *config, const double *twist_u_s, double *wheel_rad_s);
 
-/* The other direction, by least squares: each axis of the twist is the sum over the joints of
- * inverse times rim speed. */
+/* The inverse, from wheel speeds to the twist, by least squares: each axis of the twist is the sum
+ * over the joints of inverse times rim speed. */
 typedef struct {
-    double inverse[AXES][JOINTS_MAX]; /* 0 for joints that are not in it */
-    double shared;       /* joints for each axis that they determine: so many share one error */
-    uint32_t joints;     /* bit n: joint n is in it */
+    double inverse[AXES][JOINTS_MAX]; /* 0 for joints that are not used */
+    double shared;       /* number of joints for each axis of the twist: so many share one error */
+    uint32_t joints;     /* bit n: joint n is used */
     uint32_t determined; /* 0: these joints do not determine the twist, and all of `inverse` is 0 */
-    uint32_t strafes;    /* as kinematics_strafes() */
+    uint32_t strafes;    /* value of kinematics_strafes() */
     uint32_t reserved;
 } twist_inverse;
 
-/* How uncertain the pose becomes: from the motion of wheels and base since the last look; a look is
- * due as for plausible_due(). */
+/* Growth of the pose's uncertainty, from the motion of wheels and base since the last look. A look
+ * is due by the rule of plausible_due(). */
 typedef struct {
-    int64_t stamp_ns;   /* of the last look; 0: begin anew */
-    double heading_rad; /* then */
-    double x_m;         /* moved since, in the frame of the pose, as if straight on */
+    int64_t stamp_ns;   /* time of the last look; 0: begin anew */
+    double heading_rad; /* heading at the last look */
+    double x_m;         /* motion since then, in the frame of the pose, as if straight on */
     double y_m;
-    double gyro_rad2;         /* variance of what the gyro turned since */
-    double rim_m[JOINTS_MAX]; /* travel since */
-    uint32_t by_gyro;         /* 1: the turn since is the gyro's */
+    double gyro_rad2;         /* variance of the gyro's turn since then */
+    double rim_m[JOINTS_MAX]; /* travel since then */
+    uint32_t by_gyro;         /* 1: the turn since then is by the gyro */
     uint32_t reserved;
-    /* of each rim, the part that no motion of the base explains; smoothed */
+    /* smoothed part of each rim's speed that no motion of the base explains */
     double residual_m_s[JOINTS_MAX];
     double slip_m_s;     /* root of their mean square */
     double linear2_m2_s; /* growth of the covariance of the motion in the base's frame */
@@ -58,18 +58,19 @@ typedef struct {
     double lateral_angular_m_rad_s;
 } spread_state;
 
-/* Whether the base can move sideways: some wheel then rolls. */
+/* Whether the base can move sideways: a wheel has rollers, or all are steered. */
 bool kinematics_strafes(const core_config *config);
-/* Whether it turns on the spot. */
+/* Whether the base can turn on the spot. */
 bool kinematics_spins(const core_config *config);
-/* Of a base with modules: as if all wheels were at the 0 of their steering joints. */
+/* Compute the inverse of these joints. A base with modules counts as if its steering joints were at
+ * 0. */
 void kinematics_invert(const core_config *config, uint32_t joints, twist_inverse *out);
-/* Of a base with modules, whose steering joints are at these angles: what rolls has a speed, and
- * nothing slides across its wheel's direction (Siegwart & Nourbakhsh, Autonomous Mobile Robots,
- * 3.2.3). */
+/* Compute the inverse of a base with modules for these angles of the steering joints: each driven
+ * wheel has a speed, and no wheel slides across its direction (Siegwart & Nourbakhsh, Autonomous
+ * Mobile Robots, 3.2.3). */
 void kinematics_modules(const core_config *config, const double *angle_rad, uint32_t joints,
                         twist_inverse *out);
-/* Root mean square of what that motion leaves of the equations of these joints, by travel of the
+/* Return the root mean square of what the twist leaves of these joints' equations, by travel of the
  * rims. */
 double kinematics_residual(const core_config *config, const double *angle_rad, uint32_t joints,
                            const double *rim, const double *twist_u);
@@ -79,26 +80,29 @@ typedef struct {
     uint32_t reasons;
 } pwm_output;
 
-/* velocity → duty by config; last_duty is the duty of the step before. NaN: 0. */
+/* Convert velocity to duty by the configuration; last_duty is the duty of the previous step. NaN:
+ * 0. */
 pwm_output pwm_step(const pwm_config *config, double last_duty, double velocity_rad_s, double dt_s);
 
-/* Takes a sample; returns 0..1, and its cause. A measure that is not a number changes nothing. */
+/* Take a sample. Returns a factor 0..1, and its cause in `by`. A value that is not a number is
+ * ignored. */
 double derating_factor(derating_state *state, const derating_config *config,
                        const joint_feedback *feedback, uint32_t *by);
-/* Whether any of it is in use. */
+/* Whether one of the ranges is in use. */
 bool derating_used(const derating_config *config);
 
-/* signed difference of two raw counters of 8..64 bits, the shorter of the two */
+/* Return the signed difference of two raw counters of 8..64 bits, by the shorter of both
+ * directions. */
 int64_t counter_difference(uint64_t now, uint64_t before, uint32_t bits);
 
 typedef struct {
     joint_odometry joint[JOINTS_MAX];
-    int64_t stamp_ns; /* of the last integration */
+    int64_t stamp_ns; /* time of the last integration */
     uint32_t degraded;
     uint32_t epoch;
-    uint32_t blind;   /* 1: the wheels that send feedback do not determine the motion, nothing is
+    uint32_t blind;   /* 1: the wheels that send feedback do not determine the motion, so nothing is
                          integrated */
-    uint32_t by_gyro; /* 1: the last turn was the gyro's */
+    uint32_t by_gyro; /* 1: the last turn was by the gyro */
     double x_m;
     double y_m;
     double heading_rad;
@@ -111,25 +115,25 @@ typedef struct {
     double twist_covariance[3];
     double lateral_covariance[3];
     spread_state spread;
-    twist_inverse used;           /* for the joints that brought a travel last */
-    double angle_rad[JOINTS_MAX]; /* of joints that take positions; NaN: not known */
-    double arc_rad[JOINTS_MAX];   /* the same, when the last arc ended */
+    twist_inverse used;           /* for the joints that brought the last travel */
+    double angle_rad[JOINTS_MAX]; /* angles of joints that take positions; NaN: not known */
+    double arc_rad[JOINTS_MAX];   /* the same angles at the end of the last arc */
     gyro_state gyro;
 } odometry_state;
 
 void odometry_init(odometry_state *state, const core_config *config);
-/* Pose to the origin; what was pending is thrown away; position_rad of the joints stays. */
+/* Set the pose to the origin. Pending travel is dropped; position_rad of the joints stays. */
 void odometry_reset(odometry_state *state, const core_config *config);
-/* Take in new feedback[]; stale[j] != 0 leaves joint j out. setpoint[]: for joints that
- * measure nothing. */
+/* Take in new feedback[]; stale[j] != 0 leaves joint j out. setpoint[] is for joints that measure
+ * nothing. */
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
                    const uint32_t *stale, const joint_setpoint *setpoint);
 
-/* The results of a command under the limits in force; kept: commands are rarer than ticks. */
+/* Results of a command under the limits in force. They are kept: commands are rarer than ticks. */
 typedef struct {
-    double command_u_s[AXES]; /* as it came in */
-    double wanted_u_s[AXES];  /* as it counts: 0 when not finite */
-    double goal_u_s[AXES];    /* as far as limits and wheels allow */
+    double command_u_s[AXES]; /* the command as it came in */
+    double wanted_u_s[AXES];  /* the same, but 0 when not finite */
+    double goal_u_s[AXES];    /* the part that limits and wheels allow */
     double saturation;
     uint32_t command_reasons;
     uint32_t reasons;
@@ -137,10 +141,11 @@ typedef struct {
     uint32_t known; /* 0: goal_u_s, saturation and reasons are not up to date */
 } core_goal;
 
-/* The wheels' part of the last tick: holds as long as the twist is the same and no duty is
- * ramping. */
+/* The wheels' results of the last tick. They are valid as long as the twist is the same and no duty
+ * is ramping. */
 typedef struct {
-    double twist_u_s[AXES]; /* of a base with modules; others have it in core_state.axis alone */
+    double twist_u_s[AXES]; /* twist of a base with modules; other bases have it in
+                               core_state.axis */
     joint_setpoint joint[JOINTS_MAX];
     uint32_t reasons;
     uint32_t moving;
@@ -148,40 +153,40 @@ typedef struct {
     uint32_t reserved;
 } core_wheels;
 
-/* Of a base with modules. */
+/* Steering of a base with modules. */
 typedef struct {
-    position_profile profile[JOINTS_MAX]; /* by joint */
-    double unsure_s[JOINTS_MAX]; /* ESTIMATED: time for which it may still come from anywhere */
-    double pace_rad_s; /* so fast a wheel's direction changes while the base moves, and no profile
-                          lags much */
-    double curvature_min_per_m; /* what the ranges of all steering joints allow: -INFINITY..0 */
+    position_profile profile[JOINTS_MAX]; /* profiles by joint */
+    double unsure_s[JOINTS_MAX]; /* ESTIMATED: time for which the joint may still be anywhere */
+    double pace_rad_s; /* speed at which a wheel's direction may change while the base moves, so
+                          that no profile lags much */
+    double curvature_min_per_m; /* range that all steering joints allow: -INFINITY..0 */
     double curvature_max_per_m; /* 0..INFINITY */
     double misaligned_rad;
     position_following following[JOINTS_MAX];
     uint32_t turns_on_spot;
-    uint32_t enabled; /* in the last tick */
+    uint32_t enabled; /* 1: enabled in the last tick */
     uint32_t unknown; /* bit n: the position of joint n is unknown */
     uint32_t reserved;
 } steer_state;
 
 typedef struct {
     core_config config;
-    base_limits limits;         /* in force */
-    uint64_t command_window_ns; /* timeouts, from the farthest stamp in the future that counts */
+    base_limits limits;         /* limits in force */
+    uint64_t command_window_ns; /* timeouts, measured from the farthest valid stamp in the future */
     uint64_t feedback_window_ns;
     uint64_t heartbeat_window_ns;
     core_goal goal;
     core_wheels wheels;
-    limit_state axis[AXES]; /* of the twist that goes to the wheels */
+    limit_state axis[AXES]; /* twist of the wheels */
     odometry_state odometry;
     speed_loop_state speed_loop[JOINTS_MAX];
-    speed_loop_gains gains[JOINTS_MAX]; /* in force */
+    speed_loop_gains gains[JOINTS_MAX]; /* gains in force */
     plausible_state plausible[JOINTS_MAX];
     steer_state steer;
     joints_state joints;
-    axis_limits joint_limits[JOINTS_MAX]; /* in force, of joints without a base */
+    axis_limits joint_limits[JOINTS_MAX]; /* limits in force for joints without a base */
     derating_state derating[JOINTS_MAX];
-    robot_state snapshot;       /* of the last tick */
+    robot_state snapshot;       /* snapshot of the last tick */
     uint32_t stale[JOINTS_MAX]; /* 1: the joint has sent no feedback for feedback_timeout_s */
     uint64_t tick;
     uint32_t armed;
@@ -191,33 +196,33 @@ typedef struct {
     uint32_t gains_seen;
     uint32_t joint_limits_seen;
     uint32_t faults;
-    uint32_t holding;   /* the drives stay enabled until rest (or until control.release or a reset:
-                           STOP_HOLD) after a fault */
+    uint32_t holding;   /* after a fault the drives stay enabled until rest; STOP_HOLD: until
+                           control.release or a reset */
     uint32_t commanded; /* a fresh command has come since arming */
     uint32_t silent;    /* a joint is stale */
-    uint32_t slow;      /* no wheel with feedback turned faster than rest_velocity_rad_s */
+    uint32_t slow;      /* every wheel with feedback is slower than rest_velocity_rad_s */
     uint32_t at_rest;   /* after the last tick */
     uint32_t slewed;    /* 1: a joint has a duty slew */
-    uint32_t axes;    /* axes that the base moves by: AXES, or without the lateral one, which is the
-                         last */
+    uint32_t axes;    /* number of the base's axes: AXES, or without the last one, the lateral
+                         axis */
     uint32_t steered; /* 1: a base with modules */
     uint32_t positions; /* 1: a joint takes positions */
-    uint32_t extras;    /* not 0: it has positions, a gyro or speed loops */
-    /* bit n: joint n has a speed loop, and with its gains one that does something */
+    uint32_t extras;    /* not 0: the base has positions, a gyro or speed loops */
+    /* bit n: joint n has a speed loop that its gains make do something */
     uint32_t loops;
     uint32_t derates;      /* 1: a joint may derate the base */
-    int64_t armed_ns;      /* the tick that armed */
-    int64_t zero_since_ns; /* holding: the tick from which on the set-points have been zero; 0: they
-                              are not */
+    int64_t armed_ns;      /* time of the tick that armed */
+    int64_t zero_since_ns; /* while holding: tick since which the set-points are zero; 0: they are
+                              not */
 } core_state;
 
-/* NULL when good; else the name of the first bad field, e.g. "joint[2].wheel_radius_m". Static
- * storage of the caller: name[FIELD_NAME_BYTES]. */
+/* Check a configuration. Returns NULL when it is good, else the name of the first bad field, such
+ * as "joint[2].wheel_radius_m". The caller provides name[FIELD_NAME_BYTES]. */
 const char *core_config_check(const core_config *config, char *name);
 const char *base_limits_check(const base_limits *limits, char *name);
-/* 0 or -EINVAL. State is then disarmed, at rest, with no fault. */
+/* Set the core up: disarmed, at rest, with no fault. Returns 0 or -EINVAL. */
 int core_init(core_state *state, const core_config *config);
-/* One tick. Pure and deterministic: the same state, input and dt give the same bytes. snapshot: a
- * copy of state->snapshot; NULL: the caller reads it there. */
+/* Do one tick. Pure and deterministic: the same state, input and dt give the same bytes. `snapshot`
+ * receives a copy of state->snapshot; NULL: the caller reads that. */
 void core_step(core_state *state, const core_input *input, double dt_s, setpoints *out,
                robot_state *snapshot);

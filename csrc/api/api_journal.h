@@ -5,9 +5,9 @@
  */
 
 /* ------------------------------------------------------------------------------------- journal
- * Shared memory into which the loop writes what went into the core in each tick and what came out,
- * and now and then the core's whole state, so that a replay may begin there. One writer, any number
- * of readers; a reader that is slower than the ring loses records, and no other reader anything.
+ * Shared memory into which the loop writes the input and output of the core in each tick, and at
+ * intervals the core's whole state, so that a replay may begin there. One writer, any number of
+ * readers; a reader that is slower than the ring loses records, without effect on other readers.
  * docs/replay.md */
 enum {
     JOURNAL_LAYOUT_VERSION = 12,
@@ -17,9 +17,9 @@ enum {
 };
 
 typedef struct {
-    uint64_t tick; /* the core's, after the step */
+    uint64_t tick; /* the core's tick number, after the step */
     double dt_s;
-    uint64_t digest; /* of the snapshot that came out */
+    uint64_t digest; /* digest of the resulting snapshot */
     uint64_t reserved;
     core_input input;
     setpoints out;
@@ -27,11 +27,11 @@ typedef struct {
 
 size_t journal_bytes(void);
 int journal_init(void *journal); /* journal_bytes(), aligned to 64 */
-/* Before a step: the state, where a checkpoint is due. */
+/* Write the state before a step, if a checkpoint is due. */
 void journal_before(void *journal, const core_state *state);
-/* After it. */
+/* Write the record after a step. */
 void journal_after(void *journal, const core_input *input, double dt_s, const setpoints *out,
                    const robot_state *snapshot);
-/* The steps of FNV-1a (G. Fowler, L. C. Noll, K.-P. Vo), over the snapshot's words of 64 bits in
- * place of bytes. */
+/* Return the FNV-1a hash (G. Fowler, L. C. Noll, K.-P. Vo) over the snapshot's words of 64 bits
+ * instead of bytes. */
 uint64_t journal_digest(const robot_state *snapshot);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * clock.c: the clock of every stamp, and whether it has stood still because the computer was
- * suspended. */
+ * clock.c: the clock of every stamp, and the detection of suspends of the computer, during which it
+ * stands still. */
 #include <stdatomic.h>
 #include <time.h>
 
@@ -8,13 +8,13 @@
 #include "rt.h"
 
 enum { LOOKS_MAX = 8 };
-/* Two readings that are further apart than this do not bound the time between them. */
+/* Limit for two readings: farther apart, they do not bound the time between them. */
 static const int64_t APART_MAX_NS = 1000000;
-/* CLOCK_BOOTTIME goes on during a suspend: if it is ahead of CLOCK_MONOTONIC by so much more than
- * before, there was a suspend. */
+/* Least growth of CLOCK_BOOTTIME's lead over CLOCK_MONOTONIC that means a suspend: CLOCK_BOOTTIME
+ * continues during one. */
 static const int64_t SUSPEND_LEAST_NS = 5000000;
 
-static _Atomic int64_t ahead_ns = INT64_MIN; /* of CLOCK_BOOTTIME; INT64_MIN: not known yet */
+static _Atomic int64_t ahead_ns = INT64_MIN; /* lead of CLOCK_BOOTTIME; INT64_MIN: not known yet */
 static _Atomic int64_t resumed_ns;
 
 static int64_t read_ns(clockid_t clock)
@@ -29,8 +29,8 @@ int64_t clock_now_ns(void)
     return read_ns(CLOCK_MONOTONIC);
 }
 
-/* The first thread that looks after a resume notes it, before the others can find the clocks in
- * step. A thread that was delayed while it looked changes nothing that another has noted since. */
+/* The first thread that looks after a resume records it, before the others can find the clocks in
+ * step. A thread that was delayed during its look does not overwrite a later record. */
 int64_t clock_resumed_ns(void)
 {
     int64_t noted_ns = atomic_load(&resumed_ns);

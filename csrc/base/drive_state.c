@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_state.c: when a drive may move, and when it has to stop: the rules of all media. Pure:
- * time is an argument. */
+ * drive_state.c: the rules of all media: when a drive may move, and when it has to stop. Pure: time
+ * is an argument. */
 #include "drive_state.h"
 
 /* ----------------------------------------------------------------------------- stopping */
@@ -102,7 +102,7 @@ bool may_be_early(int64_t *early_ns, int64_t period_ns, int64_t now_ns)
     return true;
 }
 
-/* 0: an armed drive stays so. `was_enabled`: since it was armed. */
+/* Return the reason to disarm; 0: the drive stays armed. `was_enabled`: since it was armed. */
 static uint32_t fault_reason(bool fresh, bool left_alone, bool enabled, bool was_enabled)
 {
     if (!fresh) {
@@ -114,8 +114,9 @@ static uint32_t fault_reason(bool fresh, bool left_alone, bool enabled, bool was
     return !enabled && was_enabled ? DRIVE_FAULT_NOT_ENABLED : 0;
 }
 
-/* Old set-points, or a drive that got nothing for its watchdog's time and may have stopped: quick
- * stop. Not enabled any more, or an unknown position: no power. */
+/* Old set-points, or a drive that got nothing for its watchdog's time and may have stopped, cause a
+ * quick stop. Set-points that are not enabled any more, or an unknown position, cause a
+ * power-off. */
 drive_stop drive_guard(drive_state *drive, const drive_view *view)
 {
     if (drive->mode != DRIVE_ARMED) {

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_state.h: api_drive.h for the lines in C, and the parts that only they use. */
+ * drive_state.h: api_drive.h for the lines in C, and parts that only they use. */
 #ifndef MOTORD_DRIVE_STATE_H
 #define MOTORD_DRIVE_STATE_H
 

@@ -6,7 +6,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-/* The bits without the warnings; of a word that is a number: itself, or 0 if it is harmless. */
+/* Return the bits of a fault word without the warnings; for a word that is a number: the word, or 0
+ * if it is harmless. */
 static inline uint32_t fault_that_stops(uint32_t word, bool is_code, uint32_t harmless_bits,
                                         const uint32_t *harmless, uint32_t harmless_codes)
 {

@@ -22,7 +22,8 @@ static inline void need(finding *f, bool good, const char *field)
     }
 }
 
-/* Rest is 0; a target position may be any. */
+/* Check a set-point's range: it includes 0, which is rest, except for positions, which may be
+ * any. */
 static inline void check_span(finding *f, uint32_t kind, double offset, double raw_min,
                               double raw_max, double raw_per_s)
 {

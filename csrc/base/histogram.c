@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * histogram.c: log-linear buckets, as in G. Tene's HdrHistogram: below 16 ns one a nanosecond,
- * above it 16 to each octave, so a bucket is never wider than 1/16 of its value. */
+ * histogram.c: log-linear buckets, as in G. Tene's HdrHistogram: one for each nanosecond below 16
+ * ns, and 16 to each octave above it, so a bucket is never wider than 1/16 of its value. */
 #include <math.h>
 
 #include "rt.h"
@@ -10,8 +10,8 @@ _Static_assert(1 << SUB_BITS == HISTOGRAM_SUB_BUCKETS, "buckets of an octave");
 _Static_assert((40 - SUB_BITS + 2) * HISTOGRAM_SUB_BUCKETS == HISTOGRAM_BUCKETS,
                "the last octave begins at 2^40 ns");
 
-/* One writer, so load and store suffice. The types are plain, because cffi reads them: hence the
- * builtins. */
+/* One writer, so load and store suffice. cffi reads the types, so they are plain, and builtins make
+ * the accesses atomic. */
 static void add_one(uint64_t *counter)
 {
     __atomic_store_n(counter, __atomic_load_n(counter, __ATOMIC_RELAXED) + 1, __ATOMIC_RELEASE);
@@ -52,8 +52,8 @@ void histogram_clear(histogram *h)
     }
 }
 
-/* The extremes before the bucket: a reader that sees a sample in a bucket sees extremes that
- * hold it. */
+/* The extremes are written before the bucket: a reader that sees a sample in a bucket sees extremes
+ * that include it. */
 void histogram_add(histogram *h, int64_t value_ns)
 {
     int64_t value = value_ns < 0 ? 0 : value_ns;
@@ -68,7 +68,7 @@ void histogram_add(histogram *h, int64_t value_ns)
     add_one(&h->bucket[histogram_bucket(value)]);
 }
 
-/* `samples` of the copy is what its buckets hold, also when the writer adds meanwhile. */
+/* `samples` of the copy is the sum of its buckets, even if the writer adds meanwhile. */
 void histogram_copy(histogram *to, const histogram *from)
 {
     uint64_t samples = 0;
@@ -81,7 +81,7 @@ void histogram_copy(histogram *to, const histogram *from)
     to->min_ns = __atomic_load_n(&from->min_ns, __ATOMIC_RELAXED);
 }
 
-/* Nearest rank; the value is the upper edge of the bucket, so no percentile is too low. */
+/* Nearest rank. The value is the upper edge of the bucket, so no percentile is too low. */
 int64_t histogram_percentile_ns(const histogram *h, double fraction)
 {
     if (h->samples == 0) {

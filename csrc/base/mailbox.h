@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * mailbox.h: newest value wins, between one writer and one reader: a triple buffer.
+ * mailbox.h: a triple buffer between one writer and one reader, which keeps the newest value.
  *
  * The writer owns one slot, the reader another; the third lies between them and changes hands by
  * one atomic exchange. So neither ever waits, and neither can see half a value. A sequence lock
@@ -14,7 +14,7 @@
 
 enum { MAILBOX_SLOTS = 3, CACHE_LINE_BYTES = 64 };
 
-/* Which side holds which slot. The slots themselves lie beside it, MAILBOX_SLOTS of the same
+/* The slots of the two sides. The caller keeps the slots themselves, MAILBOX_SLOTS of the same
  * size. */
 typedef struct {
     /* slot between the two, and whether it is new */
@@ -23,11 +23,11 @@ typedef struct {
     _Alignas(CACHE_LINE_BYTES) uint32_t front; /* the reader's slot */
 } mailbox;
 
-/* Before either side uses it. The caller zeroes the slots. */
+/* Set a mailbox up before either side uses it. The caller zeroes the slots. */
 void mailbox_init(mailbox *m);
-/* The writer's side: wait-free. */
+/* Put a value, from the writer's side. Wait-free. */
 void mailbox_put(mailbox *m, void *slots, const void *value, size_t value_bytes);
-/* The reader's side: copies the newest value; 1 when it was not taken before, else 0. */
+/* Copy the newest value, on the reader's side. Returns 1 if it was not taken before, else 0. */
 int mailbox_take(mailbox *m, const void *slots, void *value, size_t value_bytes);
 
 #endif

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * ring.h: queues between asyncio and a line's thread: one writer, one reader, fixed places. */
+ * ring.h: queues between asyncio and a line's thread, with one writer, one reader and fixed
+ * places. */
 #ifndef MOTORD_RING_H
 #define MOTORD_RING_H
 
@@ -10,8 +11,7 @@
 
 #include "mailbox.h"
 
-/* Places are taken by position modulo their number, a power of two; head - tail of them are
- * full. */
+/* Places are numbered modulo their count, a power of two. head - tail of them are full. */
 typedef struct {
     _Alignas(CACHE_LINE_BYTES) _Atomic uint32_t head; /* the writer's */
     _Alignas(CACHE_LINE_BYTES) _Atomic uint32_t tail; /* the reader's */

@@ -1,11 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * seqlock.h: one writer, any number of readers in any process, which hold no lock and cannot
- * disturb it.
+ * seqlock.h: a sequence lock for one writer and any number of readers in any process, which hold no
+ * lock and cannot disturb the writer.
  *
- * A sequence lock whose data are atomic words. A release store of each word and an acquire load of
- * each word take the place of the fences of H. Boehm, "Can seqlocks get along with programming
- * language memory models?" (MSPC 2012): fences are what ThreadSanitizer cannot see, and on
- * x86-64 both are plain moves. */
+ * The data are atomic words. A release store and an acquire load of each word replace the fences of
+ * H. Boehm, "Can seqlocks get along with programming language memory models?" (MSPC 2012):
+ * ThreadSanitizer cannot see fences, and on x86-64 both are plain moves. */
 #ifndef MOTORD_SEQLOCK_H
 #define MOTORD_SEQLOCK_H
 
@@ -16,7 +15,8 @@
 
 enum { WORD_BYTES = 8 };
 
-/* sequence is 2 number while `number` (from 1) is whole, and odd while it is being written. */
+/* Write data. The sequence is 2 number while `number` (from 1) is whole, and odd during the
+ * write. */
 static inline void seqlock_write(_Atomic uint64_t *sequence, _Atomic uint64_t *word,
                                  uint64_t number, const void *data, size_t words)
 {
@@ -29,7 +29,7 @@ static inline void seqlock_write(_Atomic uint64_t *sequence, _Atomic uint64_t *w
     atomic_store_explicit(sequence, 2 * number, memory_order_release);
 }
 
-/* false: it is another one, or was overwritten meanwhile */
+/* Read data. Returns false if the slot has another number, or was overwritten meanwhile. */
 static inline bool seqlock_read(const _Atomic uint64_t *sequence, const _Atomic uint64_t *word,
                                 uint64_t number, void *data, size_t words)
 {

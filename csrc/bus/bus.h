@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * bus.h: the C part of the second process: bus_twist.c decodes messages, bus_outlet.c sends under a
- * lease, bus_receiver.c waits for DDS. The daemon has none of them. */
+ * lease, bus_receiver.c waits for DDS. The daemon does not contain them. */
 #ifndef MOTORD_BUS_H
 #define MOTORD_BUS_H
 
@@ -13,27 +13,27 @@
 
 static const int64_t OUTLET_ALIVE_NS = INT64_C(2000000000);
 
-/* The sender of one lease, for several threads. */
+/* The sender under one lease, for several threads. */
 typedef struct {
     pthread_mutex_t lock;
-    int fd; /* connected; -1: there is no lease */
+    int fd; /* connected socket; -1: no lease */
     uint8_t token[LEASE_TOKEN_BYTES];
     uint64_t sequence;
     uint64_t direct;
-    int64_t alive_ns; /* when Python was last alive */
+    int64_t alive_ns; /* time when Python was last alive */
 } outlet;
 
 void outlet_init(outlet *o);
 void outlet_hold(outlet *o, int fd, const uint8_t *token, uint64_t sequence);
 uint64_t outlet_let_go(outlet *o);
 uint64_t outlet_direct(outlet *o);
-/* As receiver_send. */
+/* Implements receiver_send. */
 int outlet_send(outlet *o, void *datagram, size_t bytes, int64_t seen);
-/* Python's event loop runs. */
+/* Note that Python's event loop runs. */
 void outlet_alive(outlet *o, int64_t now_ns);
-/* A twist of the receiver's own: counted in `direct` when it was sent. -EHOSTDOWN: Python has stood
- * still for OUTLET_ALIVE_NS, so a stop request by ROS 2 would not be handled. The lease lapses
- * then, and the wheels come to rest. */
+/* Send a twist of the receiver's own, counted in `direct` when it was sent. Returns -EHOSTDOWN if
+ * Python has stood still for OUTLET_ALIVE_NS: a stop request by ROS 2 would not be handled. The
+ * lease then lapses, and the wheels come to rest. */
 int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns, int64_t now_ns);
 
 #endif

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * bus_outlet.c: sends under a lease, from several threads. The daemon accepts growing numbers only,
+ * bus_outlet.c: sends under a lease, from several threads. The daemon accepts only growing numbers,
  * so a number is taken and sent under one lock; a new lease comes between two commands. */
 #include "bus.h"
 
@@ -9,8 +9,8 @@
 
 #include "rt.h"
 
-/* While the receiver waits for the lock, the Python thread that holds it has the receiver's
- * priority. On a kernel without such locks the zeros make an ordinary one. */
+/* The lock inherits priority: while the receiver waits for it, the Python thread that holds it runs
+ * at the receiver's priority. On a kernel without such locks it is an ordinary one. */
 void outlet_init(outlet *o)
 {
     pthread_mutexattr_t lends;
@@ -47,7 +47,7 @@ uint64_t outlet_direct(outlet *o)
     return direct;
 }
 
-/* The lock is held. A twist and wheels begin alike. */
+/* The caller holds the lock. A twist and a command of wheels have the same head. */
 static int send_numbered(outlet *o, void *datagram, size_t bytes)
 {
     uint64_t sequence = ++o->sequence;

@@ -2,9 +2,9 @@
  * bus_receiver.c: hands the commands of a DDS reader to the daemon, in the thread of Cyclone that
  * received them. It never needs Python, which reads a report and a ring.
  *
- * The C library is the one that the Cyclone DDS binding has loaded. Its headers are no part of its
- * package; the used part is declared here, as dds/dds.h and dds/ddsi/ddsi_serdata.h of
- * version 11 have it. */
+ * The C library is the one that the Cyclone DDS binding has loaded. The package does not contain
+ * its headers. The used part is declared here, as in dds/dds.h and dds/ddsi/ddsi_serdata.h of
+ * version 11. */
 #include "bus.h"
 
 #include <dlfcn.h>
@@ -122,7 +122,7 @@ static void count_lost(receiver *r, int error)
     }
 }
 
-/* CLOCK_MONOTONIC is read first: a thread that stands still between the two makes a command
+/* CLOCK_MONOTONIC is read first: if the thread stands still between both readings, the command gets
  * older, never newer. */
 static void take_twist(receiver *r, const uint8_t *raw, size_t bytes, uint64_t writer)
 {
@@ -170,7 +170,7 @@ static void notify(const receiver *r)
     }
 }
 
-/* Cyclone calls it for one thread at a time. */
+/* Cyclone calls this for one thread at a time. */
 static void take_all(int32_t reader, void *arg)
 {
     receiver *r = arg;
@@ -234,7 +234,7 @@ static int32_t listen(receiver *r)
         return -ENOMEM;
     }
     dds.lset_data_available(listener, take_all);
-    int32_t error = dds.set_listener(r->reader, listener); /* of a copy */
+    int32_t error = dds.set_listener(r->reader, listener); /* set_listener makes a copy */
     dds.delete_listener(listener);
     return error;
 }
@@ -262,7 +262,7 @@ int receiver_stop(int number)
     if (r == NULL || !r->running) {
         return -ESRCH;
     }
-    (void)dds.set_listener(r->reader, NULL); /* waits for a call in progress */
+    (void)dds.set_listener(r->reader, NULL); /* set_listener waits for a call in progress */
     r->running = false;
     return 0;
 }

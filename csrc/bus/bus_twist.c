@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * bus_twist.c: geometry_msgs/TwistStamped in plain CDR (DDS-XTypes 1.3, 7.4.1: encoding version 1),
- * and how old it is.
+ * bus_twist.c: decodes geometry_msgs/TwistStamped in plain CDR (DDS-XTypes 1.3, 7.4.1: encoding
+ * version 1), and computes its age.
  *
  *   0  int32   stamp.sec       from the end of the header of 4 bytes, which has the byte order
  *      (RTPS 2.5, 10.2.1.2)
@@ -16,7 +16,7 @@ enum { HEADER_BYTES = 4, HEAD_BYTES = 12, DOUBLES = 6, LINEAR_Y = 1, ANGULAR_Z =
 
 static const double AHEAD_MAX_S = 0.5, OLD_S = 3600.0;
 
-/* Byte by byte, whatever this machine's order. */
+/* Read a number byte by byte, independent of this machine's byte order. */
 static uint64_t number_at(const uint8_t *at, uint32_t bytes, bool little)
 {
     uint64_t value = 0;

@@ -7,8 +7,8 @@
 #include <math.h>
 #include <stdio.h>
 
-/* What "greater than zero" and "finite" mean here: wide enough for any machine, narrow enough that
- * no product of two or three such numbers leaves the range of a double. */
+/* Limits for "greater than zero" and "finite": wide enough for any machine, narrow enough that no
+ * product of two or three such numbers leaves the range of a double. */
 #define LEAST 1e-12
 #define MOST 1e9
 
@@ -53,7 +53,7 @@ static const rule CONFIG_RULES[] = {
     RULE(core_config, twist_variance_floor_rad2_s2, LEAST, MOST),
 };
 
-/* Where there is a gyro. */
+/* Rules for a base with a gyro. */
 static const rule GYRO_RULES[] = {
     RULE(core_config, gyro.timeout_s, LEAST, MOST),
     RULE(core_config, gyro.bias_max_rad_s, LEAST, MOST),
@@ -103,14 +103,14 @@ static const rule JOINT_RULES[] = {
     RULE(joint_config, plausible.apart_s, 0.0, MOST),
 };
 
-/* Of a joint without a base that takes velocities. */
+/* Rules for a joint without a base that takes velocities. */
 static const rule OWN_RULES[] = {
     RULE(joint_config, own.acceleration_u_s2, LEAST, MOST),
     RULE(joint_config, own.deceleration_u_s2, LEAST, MOST),
     RULE(joint_config, own.jerk_u_s3, LEAST, INFINITY),
 };
 
-/* Of a joint without a base, changed while it runs. */
+/* Rules for new limits of a running joint without a base. */
 static const rule CHANGED_RULES[] = {
     RULE(axis_limits, velocity_u_s, LEAST, MOST),
     RULE(axis_limits, acceleration_u_s2, LEAST, MOST),
@@ -118,7 +118,7 @@ static const rule CHANGED_RULES[] = {
     RULE(axis_limits, jerk_u_s3, LEAST, INFINITY),
 };
 
-/* Of a joint that takes positions. */
+/* Rules for a joint that takes positions. */
 static const rule POSITION_RULES[] = {
     RULE(joint_config, position.position_min_rad, -MOST, 0.0),
     RULE(joint_config, position.position_max_rad, 0.0, MOST),
@@ -134,7 +134,7 @@ static const rule MODULE_RULES[] = {
     RULE(wheel_module, angle_rad, -7.0, 7.0),
 };
 
-/* The first field out of its range; NaN is out of every range. */
+/* Return the first field out of its range. NaN is out of every range. */
 static const char *first_bad(const void *values, const rule *rules, size_t count)
 {
     for (size_t i = 0; i < count; i++) {
@@ -188,8 +188,8 @@ static const char *bad_joint_field(const joint_config *joint)
     return joint->line < LINES_MAX ? NULL : "line";
 }
 
-/* A fixed wheel of a base with modules rolls straight on, on the axle about which the base
- * turns: any other one would slide. */
+/* A fixed wheel of a base with modules rolls straight on, on the axle about which the base turns:
+ * on any other axle it would slide. */
 static const char *bad_module_field(const core_config *config, const wheel_module *module,
                                     uint32_t *named)
 {
@@ -224,7 +224,7 @@ static const char *bad_module_field(const core_config *config, const wheel_modul
     return NULL;
 }
 
-/* Every joint has one module, and one role in it. */
+/* Every joint belongs to one module, with one role. */
 static const char *bad_modules(const core_config *config, char *name)
 {
     uint32_t named = 0, steered = 0;

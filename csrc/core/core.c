@@ -2,7 +2,7 @@
  *
  * core.c: one tick, from command and feedback to set-points and the snapshot. Time is an argument.
  *
- * The order is core_step()'s at the foot of the page. Set-points are built from zero in each tick.
+ * core_step() at the end of the file has the order. Set-points are built from zero in each tick.
  */
 #include "duties.h"
 #include "following.h"
@@ -18,10 +18,10 @@
 #include <math.h>
 #include <string.h>
 
-/* after a fault: zero this long, and the power goes off anyway */
+/* after a fault: time of zero set-points after which the power goes off anyway */
 static const int64_t HOLD_AT_ZERO_NS = 2000000000;
 
-/* not finite if one of them is not */
+/* Return the sum of all set-points: not finite if one of them is not. */
 static double setpoint_sum(const core_state *state)
 {
     double sum = 0.0;
@@ -55,7 +55,7 @@ static void zero_at_once(core_state *state, tick *t)
     t->moving = false;
 }
 
-/* false: no ramp, the set-points are zero now */
+/* Whether set-points may ramp; false: they are zero now. */
 static bool may_ramp(const core_state *state, const tick *t)
 {
     if (t->calm) {
@@ -71,7 +71,7 @@ static bool may_ramp(const core_state *state, const tick *t)
     return state->armed && !(stopping && state->config.on_timeout == STOP_BRAKE);
 }
 
-/* One step of the twist; returns the joint whose duty slew bounds it: its bit, or 0. */
+/* Do one step of the twist. Returns the joint whose duty slew bounds it: its bit, or 0. */
 static inline uint32_t ramp(core_state *state, tick *t, const double *goal_u_s, double dt_s)
 {
     const core_config *slewed = state->slewed ? &state->config : NULL;
@@ -82,7 +82,7 @@ static inline uint32_t ramp(core_state *state, tick *t, const double *goal_u_s, 
     return slewing;
 }
 
-/* kinematics → PWM, for a twist that is not that of the last tick */
+/* Compute kinematics → PWM, for a twist that differs from that of the last tick. */
 static void set_wheels(core_state *state, tick *t, double dt_s, uint32_t slewing)
 {
     core_wheels *wheels = &state->wheels;
@@ -106,7 +106,7 @@ static void set_wheels(core_state *state, tick *t, double dt_s, uint32_t slewing
     wheels->known = !(reasons & REASON_DUTY_SLEW);
 }
 
-/* The goal, which is within the limits, is reached: a ramp would change nothing. */
+/* Whether the goal, which is within the limits, is reached: a ramp would change nothing. */
 static bool settled(const core_state *state, const double *goal_u_s)
 {
     for (uint32_t i = 0; i < state->axes; i++) {
@@ -117,7 +117,7 @@ static bool settled(const core_state *state, const double *goal_u_s)
     return true;
 }
 
-/* goal → limit → modules → PWM, by the angles that the wheels have. */
+/* Compute goal → limit → modules → PWM, by the wheels' present angles. */
 static void ramp_steered(core_state *state, tick *t, double *goal_u_s, double dt_s)
 {
     const core_config *config = &state->config;
@@ -149,7 +149,8 @@ static void ramp_steered(core_state *state, tick *t, double *goal_u_s, double dt
     t->moving = wheels->moving != 0;
 }
 
-/* Its wheels turn to where the twist rolls them, and it waits for them. */
+/* Drive a base with modules: its wheels turn to their rolling directions, and the base waits for
+ * them. */
 __attribute__((noinline)) static void drive_steered(core_state *state, tick *t)
 {
     steer_state *steer = &state->steer;
@@ -171,7 +172,7 @@ __attribute__((noinline)) static void drive_steered(core_state *state, tick *t)
         steer_setpoints(steer, &state->config, state->wheels.joint, state->odometry.angle_rad);
 }
 
-/* Each by its own limits, those that take positions as steering joints do. */
+/* Move each joint by its own limits; those that take positions move like steering joints. */
 static void ramp_independent(core_state *state, tick *t)
 {
     const core_config *config = &state->config;
@@ -219,7 +220,7 @@ __attribute__((noinline)) static void drive_independent(core_state *state, tick 
                                  state->odometry.angle_rad);
 }
 
-/* goal → limit → kinematics → PWM */
+/* Compute goal → limit → kinematics → PWM. */
 static void drive(core_state *state, tick *t)
 {
     if (state->steered | state->config.independent) {
@@ -253,7 +254,7 @@ static void drive(core_state *state, tick *t)
 static bool all_slow(const core_state *state)
 {
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
-        /* a wheel that measures nothing (NaN) is as fast as its set-point */
+        /* a wheel that measures nothing (NaN) counts as fast as its set-point */
         if (!state->stale[j] &&
             fabs(state->odometry.joint[j].velocity_rad_s) >= state->config.rest_velocity_rad_s) {
             return false;
@@ -262,7 +263,8 @@ static bool all_slow(const core_state *state)
     return true;
 }
 
-/* Before the wheels, so that a turn which both have seen is in the pose at once. */
+/* Take the gyro before the wheels, so that a turn which both have measured is in the pose at
+ * once. */
 static void take_gyro(core_state *state, const tick *t)
 {
     const gyro_config *config = &state->config.gyro;
@@ -273,7 +275,7 @@ static void take_gyro(core_state *state, const tick *t)
     gyro_take(&state->odometry.gyro, config, &t->input->imu, t->input->now_ns, wheels_rest);
 }
 
-/* Does a wheel follow its set-point? */
+/* Check whether the wheels follow their set-points. */
 static void doubt(core_state *state, tick *t)
 {
     feedback_doubt why;
@@ -308,7 +310,7 @@ static void doubt(core_state *state, tick *t)
     }
 }
 
-/* Without a new sample and without a joint that has gone silent there is nothing to measure. */
+/* Measure, unless there is no new sample and no joint has become silent. */
 static void measure(core_state *state, tick *t)
 {
     take_gyro(state, t);
@@ -342,7 +344,7 @@ static void measure(core_state *state, tick *t)
     snapshot_write_feedback(state, t->input->feedback);
 }
 
-/* The last check of the results: no NaN leaves. */
+/* Check the results a last time: no NaN leaves the core. */
 static void guard(core_state *state, tick *t)
 {
     if (isfinite(t->checksum + setpoint_sum(state))) {
@@ -356,8 +358,8 @@ static void guard(core_state *state, tick *t)
     watch_latch(state, FAULT_STATE);
 }
 
-/* When a fault has brought the base to rest, the power goes off; where it is to hold, on request.
- * Untrusted feedback does not prove rest: then only the time counts. */
+/* Switch the power off when a fault has brought the base to rest; if the base is to hold, only on
+ * request. Untrusted feedback does not prove rest: then only the time counts. */
 static void release(core_state *state, const tick *t)
 {
     int64_t now_ns = t->input->now_ns;
@@ -369,7 +371,7 @@ static void release(core_state *state, const tick *t)
     } else if (state->zero_since_ns == 0) {
         state->zero_since_ns = now_ns;
     }
-    /* unsigned: a clock that runs backwards ends the hold as well */
+    /* unsigned, so a clock that runs backwards ends the hold as well */
     uint64_t zero_ns = (uint64_t)now_ns - (uint64_t)state->zero_since_ns;
     bool overdue = !t->moving && zero_ns > (uint64_t)HOLD_AT_ZERO_NS;
     bool seen_at_rest = state->at_rest && !t->any_stale && !(state->faults & FAULTS_OF_FEEDBACK);
@@ -378,7 +380,7 @@ static void release(core_state *state, const tick *t)
     }
 }
 
-/* Zero; the wheels' set-points only if this same tick enables the drives. Every byte is written. */
+/* Write zero, or the wheels' set-points if this tick enables the drives. Every byte is written. */
 static void write_setpoints(const core_state *state, const tick *t, setpoints *out)
 {
     out->stamp_ns = t->input->now_ns;
@@ -396,7 +398,7 @@ static void write_setpoints(const core_state *state, const tick *t, setpoints *o
     out->positioned = out->reserved = 0;
 }
 
-/* For some bases only: joints that take positions, a gyro, duties of speed loops. */
+/* Write what only some bases have: positions, a gyro, duties of speed loops. */
 __attribute__((noinline)) static void write_extras(core_state *state, const tick *t, setpoints *out)
 {
     if (state->positions) {
@@ -412,7 +414,7 @@ __attribute__((noinline)) static void write_extras(core_state *state, const tick
     }
 }
 
-/* For some joints only, so that a base without them checks nothing in every tick. */
+/* Note which extras the joints have, so that a base without them checks nothing in every tick. */
 static void note_extras(core_state *state)
 {
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
@@ -465,7 +467,7 @@ void core_step(core_state *state, const core_input *input, double dt_s, setpoint
     watch(state, input, dt_s, &t);
     drive(state, &t);
     measure(state, &t);
-    /* one comparison */
+    /* a single comparison for both conditions */
     if ((state->loops | (input->control.gains_count ^ state->gains_seen)) != 0) {
         set_loops(state, &t);
     }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * core.h: what the pure files share and Python does not see. */
+ * core.h: declarations that the pure files share and Python does not see. */
 #ifndef MOTORD_CORE_H
 #define MOTORD_CORE_H
 
@@ -9,71 +9,72 @@
 
 #pragma GCC visibility push(hidden)
 
-/* A measure as it is, NaN for what no sensor measures (infinity). */
+/* Return a measured value; NaN if no sensor measures it (infinity). */
 static inline double measured(double value)
 {
     return value + (value - value);
 }
 
-/* An angle in -pi..pi. */
+/* Return the angle in -pi..pi. */
 static inline double angle_wrap(double angle_rad)
 {
     const double pi = 3.14159265358979323846;
     return fabs(angle_rad) <= pi ? angle_rad : remainder(angle_rad, 2.0 * pi);
 }
-/* Sine and cosine of an angle in -pi..pi, within 1e-15: the same bits on every machine, which the C
- * library does not promise (it picks fused multiply-add where the CPU has it) and a replay
- * needs. */
+/* Sine and cosine of an angle in -pi..pi, within 1e-15. They have the same bits on every machine,
+ * which a replay needs and the C library does not promise (it picks fused multiply-add where the
+ * CPU has it). */
 typedef struct {
     double sine;
     double cosine;
 } direction;
 
 direction angle_direction(double angle_rad);
-/* The angle of (x, y) from x, in -pi..pi, as exact; 0 for (0, 0) */
+/* Return the angle of (x, y) from x, in -pi..pi, as exact; 0 for (0, 0). */
 double angle_of(double y, double x);
 
-/* Where a module's wheel rolls to, from x, when the joints are at these angles. */
+/* Return the rolling direction of a module's wheel, from x, at these angles of the joints. */
 static inline double module_angle(const wheel_module *module, const double *angle_rad)
 {
     return module->angle_rad + (module->steering != 0 ? angle_rad[module->steering - 1] : 0.0);
 }
 
-/* ramp_step(), and the joint whose duty slew bound it: its bit, or what was there before. */
+/* ramp_step(), which also returns the joint whose duty slew bound it: its bit in `slewing`, which
+ * else stays unchanged. */
 uint32_t ramp_joint_step(limit_state *axis, uint32_t axes, const base_limits *limits,
                          const core_config *slewed, const double *goal_u_s, double dt_s,
                          bool urgent, uint32_t *slewing);
 
-/* Is it time to look at a joint's newest sample? Faster ones are taken together. Checks that have
- * not begun have a stamp of 0: they are due. */
+/* Whether a joint's newest sample is to be checked now. Faster ones are taken together. Checks that
+ * have not begun have a stamp of 0, and are due. */
 static inline bool plausible_due(const plausible_state *state, const joint_odometry *joint)
 {
     const int64_t least_ns = 5000000;
     return joint->stamp_ns - state->stamp_ns >= least_ns;
 }
-/* Takes a sample that is due. false: a check failed, and why. `reported_rad_s` is the
- * drive's own measure. */
+/* Check a sample that is due. false: a check failed, with the reason in `why`. `reported_rad_s` is
+ * the drive's own measured value. */
 bool plausible(plausible_state *state, const plausible_config *config, const joint_odometry *joint,
                double reported_rad_s, double setpoint_rad_s, feedback_doubt *why);
 
-/* Are these limits of a joint? Its jerk may be infinite. */
+/* Whether these limits of a joint are valid. Its jerk may be infinite. */
 bool joint_limits_good(const axis_limits *limits);
 
 /* joint_odometry.last */
 enum { NONE = 0, BELIEVED = 1, REFUSED = 2 };
 
-/* Where a joint is that takes positions. */
+/* Update the angle of a joint that takes positions. */
 void modules_take_angle(odometry_state *state, const core_config *config, uint32_t j);
-/* The same for all, and what follows for these joints from the angles in the middle of the arc
- * that ends now. */
+/* Do the same for all joints, and compute the inverse for these joints from the angles in the
+ * middle of the arc that ends now. */
 void modules_look(odometry_state *state, const core_config *config, uint32_t joints);
-/* The next one begins at the angles that are known now. */
+/* Begin the next arc at the angles that are known now. */
 void modules_end_arc(odometry_state *state);
-/* The part of an arc that no motion of the base explains. */
+/* Compute the slip: the part of an arc that no motion of the base explains. */
 void modules_slip(odometry_state *state, const core_config *config, uint32_t joints,
                   const double *rim_m, const double *twist_u, double elapsed_s);
 
-/* false: a number in it is not finite */
+/* Whether all numbers of the odometry are finite. */
 static inline bool odometry_finite(const odometry_state *state, uint32_t joint_count)
 {
     const double *p = state->pose_covariance, *q = state->twist_covariance,
@@ -90,13 +91,13 @@ static inline bool odometry_finite(const odometry_state *state, uint32_t joint_c
     return isfinite(sum);
 }
 
-/* Adds the motion since the last look to the pose's covariance; the look ends at `now_ns`. */
+/* Add the motion since the last look to the pose's covariance. The look ends at `now_ns`. */
 static const int64_t SPREAD_EVERY_NS = 50000000;
 void spread_look(odometry_state *state, const core_config *config, int64_t now_ns);
 void spread_floor(odometry_state *state, const core_config *config);
 
-/* The wheels that send feedback do not determine the motion: let the variance grow as if the motion
- * by the set-points were unknown. */
+/* Let the variance grow as if the motion by the set-points were unknown, when the wheels that send
+ * feedback do not determine the motion. */
 void odometry_drift(odometry_state *state, const core_config *config,
                     const joint_setpoint *setpoint, double dt_s);
 

@@ -1,9 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * derating.c: the part of its speed limits that a joint leaves the base. Measures are smoothed by a
- * low pass, so that the current of a ramp, and the voltage that sags under it, do not make the base
- * hunt.
- */
+ * derating.c: the factor of the base's speed limits that a joint permits. A low pass smooths
+ * measured values, so that the current of a ramp, and the voltage drop under it, do not make the
+ * base oscillate. */
 #include "rt.h"
 
 #include <math.h>
@@ -51,7 +50,7 @@ double derating_factor(derating_state *state, const derating_config *config,
     for (uint32_t i = 0; i < DERATINGS; i++) {
         const derating_range *range = &config->range[i];
         double factor = (range->none - state->measured[i]) / (range->none - range->full);
-        if (range->full != range->none && factor < least) { /* NaN is not */
+        if (range->full != range->none && factor < least) { /* NaN is not less */
             least = factor;
             *by = i;
         }

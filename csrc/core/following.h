@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * following.h: whether joints that take positions are where their set-points are. A part of core.c,
- * as snapshot.h is.
+ * following.h: checks whether joints that take positions are where their set-points are. A part of
+ * core.c, like snapshot.h.
  */
 #ifndef MOTORD_FOLLOWING_H
 #define MOTORD_FOLLOWING_H
@@ -10,14 +10,14 @@
 
 #include "watch.h"
 
-/* All of them, or none. */
+/* Number of joints that have power: all, or 0. */
 static inline uint32_t joints_with_power(const core_state *state)
 {
     return state->armed | state->holding ? state->config.joint_count : 0;
 }
 
-/* Is a joint that takes positions where its set-point is? One that measures nothing counts as
- * there. */
+/* Check whether each joint that takes positions is at its set-point. A joint that measures nothing
+ * counts as there. */
 __attribute__((noinline)) static void doubt_positions(core_state *state, tick *t)
 {
     steer_state *steer = &state->steer;

@@ -1,8 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * goal.h: the twist to ramp to: what was commanded, within the limits of the base and its wheels. A
- * part of core.c, as snapshot.h is.
- */
+ * goal.h: the goal of the ramp: the commanded twist within the limits of the base and its wheels. A
+ * part of core.c, like snapshot.h. */
 #ifndef MOTORD_GOAL_H
 #define MOTORD_GOAL_H
 
@@ -17,8 +16,8 @@ static inline double within(double want, double limit)
     return fabs(want) <= limit ? want : copysign(limit, want);
 }
 
-/* Linear and lateral motion within their limits, by one factor, so that the direction stays.
- * Returns the reasons. */
+/* Limit linear and lateral motion by one factor, so that the direction stays. Returns the
+ * reasons. */
 static inline uint32_t limit_direction(const core_state *state, double *twist_u_s)
 {
     double linear_m_s = twist_u_s[AXIS_LINEAR], lateral_m_s = twist_u_s[AXIS_LATERAL];
@@ -26,8 +25,8 @@ static inline uint32_t limit_direction(const core_state *state, double *twist_u_
     double lateral = within(lateral_m_s, state->limits.lateral.velocity_u_s);
     twist_u_s[AXIS_LINEAR] = linear;
     twist_u_s[AXIS_LATERAL] = lateral;
-    /* the one of the two that has to fall by the larger part; no quotient, which may round up; not
-     * one that is 0 */
+    /* scale by the one of the two that has to fall by the larger part; without a quotient, which
+     * may round up, and not by one that is 0 */
     if (fabs(linear * lateral_m_s) < fabs(lateral * linear_m_s)) {
         twist_u_s[AXIS_LATERAL] = within(lateral_m_s * (linear / linear_m_s), fabs(lateral));
     } else if (lateral_m_s != 0.0) {
@@ -37,7 +36,7 @@ static inline uint32_t limit_direction(const core_state *state, double *twist_u_
            (lateral != lateral_m_s ? (uint32_t)REASON_LATERAL_VELOCITY : 0);
 }
 
-/* All axes by one factor, so that none exceeds its derated limit and the direction stays.
+/* Limit all axes by one factor, so that no axis exceeds its derated limit and the direction stays.
  * Returns the reasons. */
 static inline uint32_t derate(const core_state *state, double *twist_u_s)
 {
@@ -59,7 +58,7 @@ static inline uint32_t derate(const core_state *state, double *twist_u_s)
     return scale < 1.0 ? (uint32_t)REASON_DERATED : 0;
 }
 
-/* The joint that has to be slowed down by the largest part. */
+/* Return the joint that has to be slowed down by the largest part. */
 static inline uint32_t most_saturated(const core_config *config, const double *wheel_rad_s)
 {
     uint32_t worst = 0;
@@ -74,8 +73,8 @@ static inline uint32_t most_saturated(const core_config *config, const double *w
     return worst;
 }
 
-/* The twist to ramp to, scaled to what the wheels can do: the ramp runs straight to it, and
- * nothing is scaled after. */
+/* Set the goal, scaled to what the wheels can do: the ramp runs straight to it, and nothing is
+ * scaled afterwards. */
 static inline void set_goal(core_state *state)
 {
     core_goal *goal = &state->goal;
@@ -130,7 +129,7 @@ static inline void choose_goal(core_state *state, tick *t, double *goal_u_s)
     t->reasons |= goal->reasons;
 }
 
-/* The joint that derates the base most. */
+/* Find the joint that derates the base most. */
 __attribute__((noinline)) static void take_derating(core_state *state, const tick *t)
 {
     derating_shown now = {.factor = 1.0}, *shown = &state->snapshot.derating;

@@ -1,12 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * plausible.c: does a wheel follow its set-point, and can its feedback be true?
+ * plausible.c: checks whether a wheel follows its set-point, and whether its feedback can be true.
  *
- * A check that holds for its time is a fault. None of those that compare with the set-point counts
- * while the wheel comes nearer to it: a drive whose own ramp is slower than the core's lags for as
- * long as it takes. Speeds are smoothed, so that a coarse encoder, or a slowly renewed counter,
- * works like any other.
- */
+ * A check that fails for its time is a fault. Checks against the set-point pause while the wheel
+ * comes nearer to it: a drive whose own ramp is slower than the core's may lag as long as it takes.
+ * Speeds are smoothed, so that a coarse encoder, or a slowly updated counter, works like any
+ * other. */
 #include "core.h"
 
 #include <math.h>
@@ -34,8 +33,9 @@ static void begin(plausible_state *state, const joint_odometry *joint)
     };
 }
 
-/* The measured speed and the reported one, smoothed alike, so that a common lag is no difference.
- * And the reported one's distance from its mean: +343 and -343 in turn have a plausible mean. */
+/* Update the measured and the reported speed, smoothed alike, so that a common lag makes no
+ * difference, and the distance of reported values from their mean: +343 and -343 in turn have a
+ * plausible mean. */
 static void measure(plausible_state *state, const joint_odometry *joint, double reported_rad_s)
 {
     double elapsed_s = (double)(joint->stamp_ns - state->stamp_ns) * 1e-9;
@@ -54,7 +54,7 @@ static void measure(plausible_state *state, const joint_odometry *joint, double 
     state->stamp_ns = joint->stamp_ns;
 }
 
-/* Bit n: check n does not hold now. */
+/* Return the checks that fail now: bit n for check n. */
 static uint32_t suspicions(const plausible_state *state, const plausible_config *config,
                            double setpoint_rad_s)
 {
@@ -84,7 +84,7 @@ static uint32_t suspicions(const plausible_state *state, const plausible_config 
     return found;
 }
 
-/* It has come nearer to its set-point than before, or beyond it: it is only slow. */
+/* Whether the wheel has come nearer to its set-point than before, or beyond it: it is only slow. */
 static bool comes_nearer(plausible_state *state, const plausible_config *config,
                          double setpoint_rad_s)
 {
@@ -109,7 +109,7 @@ static bool jumps_too_often(plausible_state *state, const plausible_config *conf
     return config->jumps_max != 0 && jumps - state->jumps_before >= config->jumps_max;
 }
 
-/* The first check that has not held for its time; CHECKS: none. */
+/* Return the first check that has failed for its time; CHECKS: no check. */
 static uint32_t overdue(plausible_state *state, const plausible_config *config, uint32_t found)
 {
     const double limit_s[CHECKS] = {

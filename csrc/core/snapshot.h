@@ -1,9 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * snapshot.h: what the core reports. The snapshot is kept in the state and handed out as a copy, so
- * that a tick writes only what it changed. A part of core.c: in one piece with it the compiler
- * keeps the tick in registers.
- */
+ * snapshot.h: the core's report. The snapshot is kept in the state and handed out as a copy, so
+ * that a tick writes only what it changed. A part of core.c: compiled in one piece with it, the
+ * tick stays in registers. */
 #ifndef MOTORD_SNAPSHOT_H
 #define MOTORD_SNAPSHOT_H
 
@@ -11,20 +10,20 @@
 
 #include "core.h"
 
-/* The values of one tick, beside its state. */
+/* Values of one tick that are not in its state. */
 typedef struct {
     const core_input *input;
     double dt_s; /* 0: not a valid time step */
     double command_age_s;
     double saturation;
-    double checksum; /* sum of all values in use: not finite if one of them is not */
+    double checksum; /* sum of all used values: not finite if one of them is not */
     uint32_t reasons;
-    bool calm; /* armed, requested to go on, and nothing wrong */
-    bool go;   /* armed, and the command counts */
+    bool calm; /* armed, requested to continue, and no problem */
+    bool go;   /* armed, and with a valid command */
     bool command_fresh;
     bool command_zero;
     bool heartbeat_fresh;
-    bool is_new; /* feedback is new, or missing: there is something to measure */
+    bool is_new; /* feedback is new, or missing, so there is something to measure */
     bool any_stale;
     bool drive_fault;
     bool drive_disabled;
@@ -45,7 +44,7 @@ static inline void write_joint(const core_state *state, const joint_feedback *fe
     to->stale = state->stale[j];
     to->jumps = odometry->jumps;
     if (feedback->stamp_ns <= 0) {
-        /* never received: all of it is zero, and zero volts would be wrong */
+        /* never received: all values are zero, and zero volts would be wrong */
         to->current_a = to->voltage_v = to->temperature_c = (double)NAN;
         to->enabled = 2;
     }
@@ -142,7 +141,7 @@ static inline uint32_t all_reasons(const core_state *state, const tick *t)
     return reasons;
 }
 
-/* Since when each of them holds. */
+/* Note the start time of each new reason. */
 __attribute__((noinline)) static void note_reasons(robot_state *to, uint32_t reasons)
 {
     uint32_t changed = to->reasons ^ reasons;
@@ -180,7 +179,7 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->saturation = t->saturation;
 }
 
-/* every byte is a field, so that no padding carries old memory */
+/* every byte belongs to a field, so that no padding carries old memory */
 _Static_assert(sizeof(joint_state) == 8 * 8 + 4 * 4, "padding in joint_state");
 _Static_assert(sizeof(imu_state) == 10 * 8 + 4 * 4, "padding in imu_state");
 _Static_assert(sizeof(feedback_doubt) == 4 * 8 + 2 * 4, "padding in feedback_doubt");

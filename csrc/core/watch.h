@@ -1,9 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * watch.h: whether the base may move. Ages of what was received, faults and their latch, arming.
- * Each comparison that lets something move is written so that NaN does not pass it. A part of
- * core.c, as snapshot.h is.
- */
+ * watch.h: decides whether the base may move: ages of what was received, faults and their latch,
+ * arming. NaN does not pass a comparison that permits motion. A part of core.c, like snapshot.h. */
 #ifndef MOTORD_WATCH_H
 #define MOTORD_WATCH_H
 
@@ -16,10 +14,10 @@
 #include <math.h>
 #include <string.h>
 
-static const double LEAST_COMMAND = 1e-9; /* m/s, rad/s: less is zero, so that no denormal is ever
-                                             carried on */
+static const double LEAST_COMMAND = 1e-9; /* m/s, rad/s: a smaller command counts as zero, so that
+                                             no denormal is ever carried on */
 
-/* Seconds since a stamp, in wrapping arithmetic: no stamp, however wrong, is undefined
+/* Return the seconds since a stamp, by wrapping arithmetic: no stamp, however wrong, is undefined
  * behaviour. */
 static inline double age_s(int64_t now_ns, int64_t stamp_ns)
 {
@@ -32,7 +30,7 @@ static inline uint64_t window_ns(double timeout_s)
     return fresh_window_ns((int64_t)(timeout_s * 1e9 + 0.5));
 }
 
-/* Another command than the last one. */
+/* Take a command that differs from the last one. */
 static inline void take_command(core_goal *goal, const twist_command *command)
 {
     const double twist_u_s[AXES] = {command->linear_m_s, command->angular_rad_s,
@@ -50,8 +48,7 @@ static inline void take_command(core_goal *goal, const twist_command *command)
     goal->known = 0;
 }
 
-/* The same without a base; checked in each tick, because a joint's command may change without its
- * number. */
+/* Take a joint command. This is done in each tick, because it may change without a new number. */
 static inline void take_joints(core_state *state, const joint_command *command)
 {
     bool finite = joint_command_finite(command, &state->config);
@@ -64,7 +61,7 @@ static inline void read_command(core_state *state, tick *t)
     const twist_command *command = &t->input->command;
     core_goal *goal = &state->goal;
     int64_t now_ns = t->input->now_ns;
-    /* NaN is never the last one */
+    /* a NaN always differs from the last command */
     if (command->linear_m_s != goal->command_u_s[AXIS_LINEAR] ||
         command->angular_rad_s != goal->command_u_s[AXIS_ANGULAR] ||
         command->lateral_m_s != goal->command_u_s[AXIS_LATERAL]) {
@@ -80,7 +77,7 @@ static inline void read_command(core_state *state, tick *t)
     t->reasons = t->command_fresh ? goal->command_reasons : (uint32_t)REASON_COMMAND_STALE;
 }
 
-/* Which joints send feedback, and since when. */
+/* Find the joints that send feedback, and the ages of their feedback. */
 static inline void judge_feedback(core_state *state, tick *t)
 {
     int64_t now_ns = t->input->now_ns;
@@ -110,7 +107,7 @@ static inline void read_feedback(core_state *state, tick *t)
 {
     int64_t now_ns = t->input->now_ns;
     uint32_t faults = 0, enabled = ~0U;
-    /* an age; a stamp from the future has the greatest */
+    /* age of the oldest stamp; a stamp from the future has the greatest */
     uint64_t is_new = state->silent, oldest_ns = 0;
     const joint_feedback *feedback = t->input->feedback;
     const joint_odometry *used = state->odometry.joint;
@@ -121,9 +118,9 @@ static inline void read_feedback(core_state *state, tick *t)
         is_new |= stamp_ns ^ (uint64_t)used->stamp_ns;
         oldest_ns = age_ns > oldest_ns ? age_ns : oldest_ns;
         faults |= feedback->drive_faults;
-        enabled &= feedback->enabled; /* 0 if one of them is; then a closer look follows */
+        enabled &= feedback->enabled; /* 0 if a drive is not enabled; then a closer look follows */
     }
-    /* all fresh, as in the tick before: no joint needs a closer look */
+    /* all are fresh, as in the previous tick: no joint needs a closer look */
     int64_t first_ns = (int64_t)((uint64_t)now_ns - oldest_ns);
     bool received = state->silent == 0 && now_ns >= first_ns &&
                     fresh_within(now_ns, first_ns, state->feedback_window_ns);
@@ -140,7 +137,7 @@ static inline void read_feedback(core_state *state, tick *t)
     t->drive_fault = faults != 0;
 }
 
-/* All that this tick decides by, read once. */
+/* Read all that decides this tick, once. */
 static inline void look(core_state *state, const core_input *input, double dt_s, tick *t)
 {
     t->input = input;
@@ -153,7 +150,7 @@ static inline void look(core_state *state, const core_input *input, double dt_s,
     read_feedback(state, t);
 }
 
-/* Faults are cleared only when their causes are gone and nothing moves or is commanded to. A reset
+/* Clear the faults only when their causes are gone and nothing moves or is commanded to. A reset
  * never arms. */
 static inline void reset(core_state *state, const tick *t)
 {
@@ -185,7 +182,7 @@ static inline void obey_counters(core_state *state, const tick *t)
 static inline void take_limits(core_state *state, const base_limits *limits)
 {
     char name[FIELD_NAME_BYTES];
-    /* limits of an axis that the base does not have change nothing */
+    /* limits of an axis that the base does not have have no effect */
     bool same = memcmp(limits, &state->limits, offsetof(base_limits, lateral)) == 0 &&
                 (state->axes < AXES ||
                  memcmp(&limits->lateral, &state->limits.lateral, sizeof limits->lateral) == 0);
@@ -202,7 +199,7 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     if (t->input->control.estop) {
         found |= FAULT_ESTOP;
     }
-    if (t->input->suspended) { /* all others follow from it */
+    if (t->input->suspended) { /* all other causes follow from the suspend */
         return found | FAULT_SUSPENDED;
     }
     if (t->input->control.fault) {
@@ -232,9 +229,9 @@ static inline uint32_t causes(const core_state *state, const tick *t)
     return found;
 }
 
-/* The e-stop's action replaces any other in progress, and nothing replaces it except a drive that
- * does not follow its set-point: no set-point stops that, so the power goes off at once. A wheel
- * that turns in the wrong direction is no better off on a ramp. */
+/* The e-stop's action replaces any other one in progress. Nothing replaces it, except for a drive
+ * that does not follow its set-point: no set-point stops that, so the power goes off at once. A
+ * ramp does not help a wheel that turns in the wrong direction either. */
 static inline stop_action watch_fault_action(const core_state *state)
 {
     stop_action action =
@@ -276,7 +273,7 @@ static inline void arm_or_disarm(core_state *state, const tick *t)
     if (!control->armed) {
         state->armed = 0;
     }
-    /* a base armed before its first command does not move: nothing to coast from */
+    /* a base that was armed before its first command does not move, so it need not coast */
     bool lapsed = control->stop || (!t->command_fresh && state->commanded);
     if (lapsed && state->config.on_timeout == STOP_COAST) {
         state->armed = 0;
@@ -284,7 +281,8 @@ static inline void arm_or_disarm(core_state *state, const tick *t)
     state->commanded |= t->command_fresh;
 }
 
-/* Armed, requested to go on, and nothing wrong: the common tick, in which nothing changes. */
+/* Whether the base is armed, requested to continue, and without problems: the common tick, in which
+ * nothing changes. */
 static inline bool calm(const core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;

@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * ending.h: how a line ends on every medium: what is armed comes to rest, all lose their power,
+ * ending.h: the end of a line on every medium: armed drives come to rest, all lose their power,
  * then the line is silent. */
 #ifndef MOTORD_ENDING_H
 #define MOTORD_ENDING_H
 
 #include "drive_state.h"
 
-/* Until the wheels are at rest, and until all have got their power-off. */
+/* Time limits: until the wheels are at rest, and until all drives have got their power-off. */
 static const int64_t END_REST_NS = 350 * 1000000, END_OFF_NS = 480 * 1000000;
 
 typedef enum { END_NOT = 0, END_RESTING = 1, END_POWER_OFF = 2, END_SILENT = 3 } end_stage;
@@ -17,7 +17,8 @@ typedef struct {
     int64_t off_by_ns;
 } line_ending;
 
-/* True: it begins, and each drive is to be stopped by end_stop(). */
+/* Begin the end if requested. True: it begins now, and each drive is to be stopped by
+ * end_stop(). */
 static inline bool end_begins(line_ending *end, bool requested, int64_t now_ns)
 {
     if (!requested || end->stage != END_NOT) {
@@ -28,7 +29,8 @@ static inline bool end_begins(line_ending *end, bool requested, int64_t now_ns)
     return true;
 }
 
-/* What a drive begins at the end: its power goes off at the latest with that of the others. */
+/* Return the stop of a drive at the end. Its power goes off at the latest with that of the
+ * others. */
 static inline drive_stop end_stop(const line_ending *end, drive_state *drive, int64_t now_ns)
 {
     if (drive->mode != DRIVE_ARMED) {
@@ -39,7 +41,7 @@ static inline drive_stop end_stop(const line_ending *end, drive_state *drive, in
     return stop;
 }
 
-/* True: all drives are to lose their power now. */
+/* Whether all drives are to lose their power now. */
 static inline bool end_takes_power(line_ending *end, bool stopping, int64_t now_ns)
 {
     bool takes = end->stage == END_RESTING && (!stopping || now_ns >= end->rest_by_ns);
@@ -47,8 +49,8 @@ static inline bool end_takes_power(line_ending *end, bool stopping, int64_t now_
     return takes;
 }
 
-/* True: it is silent from now on. `longer_ns`: time beyond its limit, for what has to be sent
- * first. */
+/* Whether the line is silent from now on. `longer_ns`: time beyond its limit, for frames that have
+ * to be sent first. */
 static inline bool end_is_over(line_ending *end, bool stopping, int64_t longer_ns, int64_t now_ns)
 {
     bool over = end->stage == END_POWER_OFF && (!stopping || now_ns >= end->off_by_ns + longer_ns);

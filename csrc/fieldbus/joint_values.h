@@ -8,7 +8,8 @@
 #include "fault_word.h"
 #include "rt.h"
 
-/* The angle that the core commands a joint. false: none, the joint stays where it is. */
+/* Get the angle that the core commands a joint. false: no angle, and the joint stays at its
+ * place. */
 static inline bool setpoint_position(const setpoints *from, uint32_t joint, double *position_rad)
 {
     if (from->enabled != 1 || joint >= from->joint_count || joint >= JOINTS_MAX ||
@@ -19,8 +20,8 @@ static inline bool setpoint_position(const setpoints *from, uint32_t joint, doub
     return isfinite(*position_rad);
 }
 
-/* The core's set-point of a joint; 0 if it is missing or not a number, NaN for a position.
- * Does not check whether the joint may move. */
+/* Return the core's set-point of a joint; 0 if it is missing or not a number, NaN for a position.
+ * It is not checked here whether the joint may move. */
 static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t kind)
 {
     if (kind == SETPOINT_POSITION) {
@@ -37,13 +38,14 @@ static inline double setpoint_of(const setpoints *from, uint32_t joint, uint32_t
     return isfinite(value) ? value : 0.0;
 }
 
-/* A number beyond its ends would go out as another one. NaN: the smallest. */
+/* Limit a number to its ends, beyond which it would go out as another number. NaN: the smallest. */
 static inline double within_span(double raw, double raw_min, double raw_max)
 {
     return fmin(fmax(raw, raw_min), raw_max);
 }
 
-/* The number of a speed, duty or torque that the core commands; 0 if the joint may not move. */
+/* Return the number of a speed, duty or torque that the core commands; 0 if the joint may not
+ * move. */
 static inline double scaled(const setpoints *from, bool may_move, const setpoint_scale *scale)
 {
     double si = may_move ? setpoint_of(from, scale->joint, scale->kind) : 0.0;
@@ -55,14 +57,14 @@ static inline uint64_t count_mask(uint32_t counter_bits)
     return counter_bits >= 64 ? UINT64_MAX : (UINT64_C(1) << counter_bits) - 1;
 }
 
-/* The part of a fault word that stops the robot. */
+/* Return the part of a fault word that stops the robot. */
 static inline uint32_t fault_meant(const field_meaning *field, uint32_t word)
 {
     return fault_that_stops(word, field->is_code != 0, field->harmless_bits, field->harmless,
                             field->harmless_codes);
 }
 
-/* Resets the joint: nothing is known of it. */
+/* Return a feedback without any known value. */
 static inline joint_feedback feedback_unknown(void)
 {
     return (joint_feedback){.velocity_rad_s = NAN,
@@ -73,7 +75,7 @@ static inline joint_feedback feedback_unknown(void)
                             .referenced = 2};
 }
 
-/* For kinds that are measured in SI; false: another kind. */
+/* Store a value of a kind that is measured in SI. Returns false for other kinds. */
 static inline bool feedback_measured(joint_feedback *feedback, uint32_t kind, double si)
 {
     switch (kind) {
@@ -85,7 +87,7 @@ static inline bool feedback_measured(joint_feedback *feedback, uint32_t kind, do
     }
 }
 
-/* NaN is not at rest: the time decides then. */
+/* Whether a wheel is at rest. NaN is not: then the time limit decides. */
 static inline bool feedback_at_rest(const joint_feedback *feedback, double rest_velocity_rad_s)
 {
     return fabs(feedback->velocity_rad_s) < rest_velocity_rad_s;

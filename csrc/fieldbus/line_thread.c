@@ -14,7 +14,7 @@
 static const int64_t NS_PER_S = 1000000000;
 static const int64_t REPORT_EVERY_NS = 40 * 1000000;
 
-/* An eventfd that is full wakes its reader already. */
+/* Wake an eventfd's reader. If the eventfd is full, the reader is woken already. */
 static void add_one(int fd)
 {
     const uint64_t one = 1;

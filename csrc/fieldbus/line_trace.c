@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_trace.c: places that are overwritten in turn; the numbers of entries show a reader what it
- * has missed. */
+ * line_trace.c: places that are overwritten in turn. The numbers of entries show a reader which
+ * ones it missed. */
 #include "line_trace.h"
 
 #include <errno.h>

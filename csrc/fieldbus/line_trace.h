@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_trace.h: the writing side of a line's trace. While it is off it costs one relaxed load. */
+ * line_trace.h: the writing side of a line's trace. While the trace is off, it costs one relaxed
+ * load. */
 #ifndef MOTORD_LINE_TRACE_H
 #define MOTORD_LINE_TRACE_H
 
@@ -23,7 +24,8 @@ typedef struct {
 
 extern line_trace line_traces[LINES_MAX];
 
-/* For the line's thread alone. No memory, no lock; keeps the first TRACE_BYTES_MAX bytes. */
+/* Write an entry; only for the line's thread. No memory, no lock; keeps the first TRACE_BYTES_MAX
+ * bytes. */
 void line_trace_put(line_trace *t, bool outward, int64_t stamp_ns, const void *data,
                     uint32_t bytes);
 

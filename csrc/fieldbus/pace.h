@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * pace.h: the clock of cycles, for a medium that serves all drives in one cycle, and the time until
+ * pace.h: the clock of cycles for a medium that serves all drives in one cycle, and the time until
  * the next step. */
 #ifndef MOTORD_PACE_H
 #define MOTORD_PACE_H
@@ -13,10 +13,10 @@ static const int64_t LOOK_RESTING_NS = 20 * 1000000, LOOK_MOVING_NS = 5 * 100000
                      LOOK_FULL_NS = 1000000;
 
 typedef struct {
-    int64_t due_ns;   /* the next one */
-    int64_t start_ns; /* of the newest; 0: there was none */
-    int64_t took_ns;  /* smoothed time between two */
-    int64_t early_ns; /* of may_be_early */
+    int64_t due_ns;   /* time of the next cycle */
+    int64_t start_ns; /* time of the newest cycle; 0: no cycle yet */
+    int64_t took_ns;  /* smoothed time between two cycles */
+    int64_t early_ns; /* for may_be_early */
     uint64_t count;
 } cycle_clock;
 
@@ -30,7 +30,7 @@ static inline int64_t later(int64_t a, int64_t b)
     return a > b ? a : b;
 }
 
-/* The next cycle is due now, but not before the gap after the newest one. A stop is never too
+/* Make the next cycle due now, but not before the gap after the newest one. A stop is never too
  * early: each follows a motion, which is counted. */
 static inline void cycle_clock_bring_forward(cycle_clock *c, int64_t period_ns, int64_t gap_ns,
                                              bool stops, int64_t now_ns)
@@ -41,7 +41,7 @@ static inline void cycle_clock_bring_forward(cycle_clock *c, int64_t period_ns, 
     }
 }
 
-/* A cycle begins. One that is late is not caught up. */
+/* Begin a cycle. A late cycle is not caught up. */
 static inline void cycle_clock_begin(cycle_clock *c, int64_t period_ns, int64_t now_ns)
 {
     c->count++;

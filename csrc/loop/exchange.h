@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * exchange.h: the inside of api.h's exchange, for loop.c, which holds one in static storage. */
+ * exchange.h: the inside of api_loop.h's exchange, for loop.c, which holds one in static
+ * storage. */
 #ifndef MOTORD_EXCHANGE_H
 #define MOTORD_EXCHANGE_H
 
@@ -46,10 +47,11 @@ struct exchange {
     _Atomic int line_wake_fd[LINES_MAX];
     _Atomic uint64_t takes[LINES_MAX];
     _Atomic uint64_t enabled_count[LINES_MAX];
-    bool enabled_before[LINES_MAX]; /* the writer's */
+    bool enabled_before[LINES_MAX]; /* used by the writer only */
 };
 
-/* How often a line has taken its set-points: the line works while this grows. */
+/* Return the number of times that a line has taken its set-points. The line works while it
+ * grows. */
 uint64_t exchange_line_takes(const exchange *x, uint32_t line);
 
 #endif

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop.c: the loop's life. The only file of csrc/ with globals: one loop a process, in static
+ * loop.c: the loop's life. The only file of csrc/ with globals: one loop in a process, in static
  * memory. */
 #include <errno.h>
 #include <fcntl.h>
@@ -33,13 +33,13 @@ static void sleep_until(int64_t deadline_ns)
     }
 }
 
-/* A command takes effect at once, but only one between two ticks: a flood of commands costs no
- * more. */
+/* Wait for the deadline. A command takes effect at once, but only one between two ticks: a flood of
+ * commands costs no more. */
 static void wait_until(int64_t deadline_ns)
 {
     bool listening = work.ingress.epoll_fd >= 0;
     if (listening && !ingress_wait(&work.ingress, deadline_ns)) {
-        /* it is due; a sleep until a past time would still cost a wake-up */
+        /* the tick is due; a sleep until a past time would still cost a wake-up */
         return;
     }
     if (listening) {
@@ -78,7 +78,7 @@ static bool is_good(const loop_config *loop)
            loop->late_from_ns >= 0 && guard_config_check(&loop->guard) == 0;
 }
 
-/* The file is given its full size first: a hole in a full file system would be a SIGBUS in the
+/* Map a file. It gets its full size first: a hole in a full file system would be a SIGBUS in the
  * thread. */
 static int map_file(int fd, size_t bytes, void **memory, int (*init)(void *))
 {
@@ -158,7 +158,8 @@ static int start(const loop_config *loop, const core_config *core)
         release_machine();
         return error;
     }
-    while (sem_wait(&ticking) != 0) { /* a signal: wait on, it does not delay the first tick */
+    while (sem_wait(&ticking) != 0) { /* after a signal, wait again: it does not delay the first
+                                         tick */
     }
     return 0;
 }

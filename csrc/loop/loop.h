@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop.h: the part that the loop's three files share. loop.c: its life, from start to stop;
- * loop_tick.c: one tick; loop_thread.c: what the kernel has to grant. */
+ * loop.h: declarations that the loop's three files share. loop.c: its life, from start to stop;
+ * loop_tick.c: one tick; loop_thread.c: scheduling and memory from the kernel. */
 #ifndef MOTORD_LOOP_H
 #define MOTORD_LOOP_H
 
@@ -12,13 +12,13 @@
 #include "ingress.h"
 #include "loop_late.h"
 
-/* All memory that a tick touches, in one static block that is written before the first tick. */
+/* All memory of a tick, in one static block that is written before the first tick. */
 typedef struct {
     exchange exchange;
-    /* own: readable before, while and after the loop runs */
+    /* the loop's own: readable before, while and after the loop runs */
     _Alignas(CACHE_LINE_BYTES) uint8_t page[PAGE_BYTES];
-    void *shared_page; /* the caller's, mapped; NULL: none */
-    void *journal;     /* the caller's, mapped; NULL: none */
+    void *shared_page; /* the caller's, mapped; NULL: no shared page */
+    void *journal;     /* the caller's, mapped; NULL: no journal */
     int event_fd;
     uint32_t notify_every_ticks;
     ingress ingress;
@@ -29,18 +29,18 @@ typedef struct {
     guard guard;
     arbiter arbiter;
     lease_permissions permissions;
-    int64_t used_stamp_ns; /* of the command that was last counted in HISTOGRAM_COMMAND */
-    bool woken;            /* the tick before had a new command */
+    int64_t used_stamp_ns; /* stamp of the command that HISTOGRAM_COMMAND counted last */
+    bool woken;            /* the previous tick had a new command */
     bool stopping;         /* the set-points of the last tick were zero */
     histogram histogram[HISTOGRAM_KINDS];
     late_log late;
-    core_state core; /* with the snapshot of the last tick */
+    core_state core; /* includes the snapshot of the last tick */
     core_input input;
     setpoints out;
-    robot_state notified; /* the state for which the reader of event_fd was last woken */
-    int64_t last_ns;      /* the tick before; 0: none yet */
-    int64_t resumed_ns;   /* the suspend that is known */
-    int64_t still_ns;     /* periods in a row in which the clock has not moved */
+    robot_state notified; /* state at the last wake-up of event_fd's reader */
+    int64_t last_ns;      /* time of the previous tick; 0: no tick yet */
+    int64_t resumed_ns;   /* end of the newest noticed suspend */
+    int64_t still_ns;     /* length of the periods in a row in which the clock has not moved */
     int64_t period_ns;
     long page_fault_base;
     _Atomic bool clear_histograms;
@@ -50,19 +50,21 @@ typedef struct {
     _Atomic int64_t tick_stamp_ns;
 } loop_work;
 
-/* Before the thread starts: resets everything. 0 or -errno. */
+/* Reset everything, before the thread starts. Returns 0 or -errno. */
 int loop_work_init(loop_work *work, const loop_config *loop, const core_config *core);
-/* In the thread, before its first tick: runs the core on a state of its own, so that the code's
- * pages are there. */
+/* Run the core on a separate state, in the thread before its first tick, so that the code's pages
+ * are in memory. */
 void loop_rehearse(loop_work *work, core_state *scratch);
 void loop_tick(loop_work *work, int64_t now_ns, int64_t deadline_ns);
-/* Between two ticks, because a datagram has come: the same work, but not counted as a wake-up on
- * time. Does nothing if the clock has not moved since the tick: the next one takes the datagram. */
+/* Do a tick's work between two ticks, because a datagram has come; it is not counted as a wake-up
+ * on time. Does nothing if the clock has not moved since the last tick: the next one takes the
+ * datagram. */
 void loop_extra_tick(loop_work *work, int64_t now_ns);
-/* Writes the last set-points: zero, not enabled. */
+/* Write the last set-points: zero, not enabled. */
 void loop_rest(loop_work *work, int64_t now_ns);
 
-/* What the kernel granted, and why it refused the rest. Written before loop_start returns. */
+/* Settings that the kernel granted, and errors of refused ones. Written before loop_start
+ * returns. */
 typedef struct {
     _Atomic int policy;
     _Atomic int priority;
@@ -74,14 +76,14 @@ typedef struct {
 
 enum { LOOP_STACK_BYTES = 1024 * 1024, LOOP_STACK_PREFAULT_BYTES = 128 * 1024 };
 
-/* A thread with no signals, at the requested policy, or SCHED_OTHER when that is refused. 0 or
- * -errno. */
+/* Create a thread without signals, at the requested policy, or at SCHED_OTHER if that is refused.
+ * Returns 0 or -errno. */
 int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *grant,
                        void *(*run)(void *), void *arg);
-/* In the thread: name, affinity, timer slack, flush-to-zero, stack. */
+/* Prepare the thread, from inside: name, affinity, timer slack, flush-to-zero, stack. */
 void loop_thread_prepare(const loop_config *loop, loop_grant *grant);
 void loop_memory_lock(loop_grant *grant);
-/* Descriptor to hold for as long as the CPU must not sleep deeply, or -1. */
+/* Return a descriptor, to be kept open as long as the CPU must not sleep deeply, or -1. */
 int loop_dma_latency_hold(loop_grant *grant);
 
 #endif

@@ -18,8 +18,8 @@ void late_init(late_log *log, int64_t from_ns)
     log->schedstat_fd = -1;
 }
 
-/* Second number of /proc/thread-self/schedstat: ns in which the thread waited for a CPU
- * (Documentation/scheduler/ sched-stats.rst of the kernel). -1: there is no such file. */
+/* Return the second number of /proc/thread-self/schedstat: ns in which the thread waited for a CPU
+ * (Documentation/scheduler/sched-stats.rst of the kernel). -1: there is no such file. */
 static int64_t read_ready_ns(const late_log *log)
 {
     char text[SCHEDSTAT_BYTES];
@@ -33,7 +33,7 @@ static int64_t read_ready_ns(const late_log *log)
     return strtoll(second, NULL, 10);
 }
 
-/* The counters' growth since the last call. */
+/* Read the growth of the counters since the last call. */
 static void read_counters(late_log *log)
 {
     late_tick *now = &log->now;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop_late.h: the log of late ticks. While it is off, it costs a comparison in each stage. */
+ * loop_late.h: the log of late ticks. While it is off, it costs one comparison in each stage. */
 #ifndef MOTORD_LOOP_LATE_H
 #define MOTORD_LOOP_LATE_H
 
@@ -10,7 +10,7 @@ typedef struct {
     int64_t from_ns; /* 0: off */
     int64_t marked_ns;
     late_tick now;
-    /* the thread's counters at the end of the tick before */
+    /* the thread's counters at the end of the previous tick */
     int64_t ready_ns;
     long page_faults;
     long preemptions;
@@ -22,13 +22,13 @@ typedef struct {
 } late_log;
 
 void late_init(late_log *log, int64_t from_ns);
-/* In the loop's thread, for its counters. */
+/* Open the log, in the loop's thread, whose counters it reads. */
 void late_open(late_log *log);
 void late_close(late_log *log);
 void late_begin(late_log *log, int64_t now_ns, int64_t deadline_ns);
-void late_mark(late_log *log, uint32_t stage); /* that it ends now */
+void late_mark(late_log *log, uint32_t stage); /* note the end of a stage */
 void late_end(late_log *log);
-/* By another thread. */
+/* Take an entry, in another thread. */
 bool late_take(late_log *log, late_tick *out);
 
 #endif

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * loop_thread.c: what the kernel has to grant a real-time thread. A refusal is recorded, not fatal:
- * the loop runs without it. */
+ * loop_thread.c: settings of a real-time thread that the kernel has to grant. A refusal is
+ * recorded, not fatal: the loop runs without them. */
 #include <errno.h>
 #include <fcntl.h>
 #include <link.h>
@@ -21,10 +21,10 @@
 #include <xmmintrin.h>
 #endif
 
-enum { CODE_PAGE_BYTES = 4096 }; /* the smallest there is */
+enum { CODE_PAGE_BYTES = 4096 }; /* smallest possible page */
 
-/* Numbers near rest decay into denormals, which cost x86 4.6 times the tick; a robot does not need
- * 1e-308 m/s. */
+/* Numbers near rest decay into denormals, which make a tick on x86 4.6 times as long; a robot does
+ * not need 1e-308 m/s. */
 static void flush_denormals_to_zero(void)
 {
 #if defined(__x86_64__)
@@ -75,8 +75,9 @@ static bool is_loaded_at(const struct dl_phdr_info *object, uintptr_t place)
     return false;
 }
 
-/* Reads each read-only page of this library, so that code that first runs hours later is in memory.
- * All of it, also the gaps that the address sanitizer watches. Source: dl_iterate_phdr(3). */
+/* Read each read-only page of this library, so that code that first runs hours later is in memory.
+ * All of it is read, even the gaps that the address sanitizer watches. Source:
+ * dl_iterate_phdr(3). */
 __attribute__((no_sanitize("address"))) static int prefault_code(struct dl_phdr_info *object,
                                                                  size_t size, void *data)
 {
@@ -98,7 +99,7 @@ __attribute__((no_sanitize("address"))) static int prefault_code(struct dl_phdr_
 void loop_thread_prepare(const loop_config *loop, loop_grant *grant)
 {
     (void)pthread_setname_np(pthread_self(), "motord-loop");
-    /* SCHED_OTHER would wake up to 50 us late */
+    /* with the default slack, SCHED_OTHER would wake up to 50 us late */
     (void)prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);
     grant->affinity_errno = loop->cpu_mask == 0 ? 0 : set_affinity(loop->cpu_mask);
     flush_denormals_to_zero();
@@ -137,7 +138,7 @@ int loop_thread_create(pthread_t *thread, const loop_config *loop, loop_grant *g
 {
     sigset_t all, before;
     sigfillset(&all);
-    /* the thread inherits it: signals are asyncio's */
+    /* the thread inherits the mask: asyncio handles signals */
     int error = pthread_sigmask(SIG_SETMASK, &all, &before);
     if (error != 0) {
         return -error;
@@ -168,8 +169,8 @@ static bool may_lock_without_limit(void)
            (data[0].effective & (1U << CAP_IPC_LOCK)) != 0;
 }
 
-/* Of a library that the threads in C call. Not 0: it failed. Source: mlock(2): it brings all
- * pages of the range in. */
+/* Lock a library that the threads in C call. Returns another value than 0 on failure. Source:
+ * mlock(2): it brings all pages of the range in. */
 static int lock_library(struct dl_phdr_info *object, size_t size, void *data)
 {
     const uintptr_t used[] = {(uintptr_t)&lock_library, (uintptr_t)&clock_nanosleep,
@@ -191,24 +192,24 @@ static int lock_library(struct dl_phdr_info *object, size_t size, void *data)
     return failed;
 }
 
-/* With a limit, MCL_FUTURE would succeed now, and later refuse memory to Python while the robot
- * drives. */
+/* Lock the memory. With a limit, MCL_FUTURE would succeed now, and later refuse memory to Python
+ * while the robot drives. */
 void loop_memory_lock(loop_grant *grant)
 {
     if (!may_lock_without_limit()) {
         grant->memory_lock_errno = ENOMEM;
         return;
     }
-    /* Locks what the threads in C use: static memory and code of this library, libc and libm. All
-     * else is Python's and stays in memory once touched. Threads in C touch their stacks before
-     * their work. */
+    /* Locks the memory that the threads in C use: static memory and code of this library, libc and
+     * libm. All other memory is Python's and stays present once touched. Threads in C touch their
+     * stacks before their work. */
     bool locked = mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0 &&
                   dl_iterate_phdr(lock_library, NULL) == 0;
     grant->memory_lock_errno = locked ? 0 : errno;
 }
 
-/* Documentation/power/pm_qos_interface.rst of the kernel: a 32-bit number of microseconds, in
- * force while open. */
+/* Prevent deep sleep of the CPU: a 32-bit number of microseconds, in force while the file is open
+ * (Documentation/power/pm_qos_interface.rst of the kernel). */
 int loop_dma_latency_hold(loop_grant *grant)
 {
     const int32_t latency_us = 0;

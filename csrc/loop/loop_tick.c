@@ -12,7 +12,7 @@
 
 enum { PAGE_FAULT_EVERY_TICKS = 256, REHEARSAL_TICKS = 16 };
 
-/* The clock may stand still for ticks of this time; longer is a fault. */
+/* Longest time for which the clock may stand still; a longer one is a fault. */
 static const int64_t STILL_MAX_NS = 100000000;
 
 int loop_work_init(loop_work *work, const loop_config *loop, const core_config *core)
@@ -89,7 +89,8 @@ void loop_rehearse(loop_work *work, core_state *scratch)
     memset(&work->out, 0, sizeof work->out);
 }
 
-/* Since the first tick. A system call, so not in every one. */
+/* Count the page faults since the first tick. This is a system call, so it is not made in every
+ * tick. */
 static void count_page_faults(loop_work *work)
 {
     struct rusage usage;
@@ -114,8 +115,8 @@ static void clear_histograms_on_request(loop_work *work)
     }
 }
 
-/* A source that requests motion before the core is armed, or during a stop, must not move the robot
- * when that changes. */
+/* Whether sources may request motion. A source that does so before the core is armed, or during a
+ * stop, must not move the robot when that changes. */
 static bool may_move(const loop_work *work)
 {
     const core_control *control = &work->input.control;
@@ -149,9 +150,9 @@ static void take_commands(loop_work *work, int64_t now_ns)
     }
 }
 
-/* Stop requests that asyncio has not acknowledged are added to its levels. The acknowledgements are
- * read before the levels: asyncio puts levels that hold the request, then acknowledges, so every
- * tick between the two has the request. */
+/* Take the control, and add the stop requests that asyncio has not acknowledged to its levels. The
+ * acknowledgements are read before the levels: asyncio puts levels that hold the request, then
+ * acknowledges, so every tick between the two has the request. */
 static void take_control(loop_work *work)
 {
     core_control *control = &work->input.control;
@@ -173,7 +174,7 @@ static void take_control(loop_work *work)
     control->armed = work->disarmed ? 0 : control->armed;
 }
 
-/* A stamp before this moment is from before the computer was suspended. */
+/* Look for a suspend of the computer, and return its end: earlier stamps are from before it. */
 static int64_t look_for_suspend(loop_work *work)
 {
     int64_t resumed_ns = clock_resumed_ns();
@@ -202,8 +203,8 @@ static void take_inputs(loop_work *work, int64_t now_ns)
     input->imu.stamp_ns = stamp_since(input->imu.stamp_ns, resumed_ns);
 }
 
-/* The reasons why it stands, not why it is slower than requested: a ramp changes those in every
- * other tick. */
+/* Whether asyncio is to be notified: the reasons to stand count, not the reasons for a lower speed,
+ * which a ramp changes in every other tick. */
 static bool worth_a_word(const robot_state *now, const robot_state *before)
 {
     uint32_t other_reasons = (now->reasons ^ before->reasons) & REASONS_TO_STAND;
@@ -252,7 +253,7 @@ static void wake_lines(const loop_work *work)
     for (uint32_t line = 0; line < LINES_MAX; line++) {
         int fd = exchange_line_wake(&work->exchange, line);
         if (fd >= 0 && write(fd, &one, sizeof one) < 0) {
-            continue; /* full: it is awake already */
+            continue; /* full: the thread is awake already */
         }
     }
 }
@@ -264,7 +265,7 @@ static bool same_command(const twist_command *one, const twist_command *other)
            one->lateral_m_s == other->lateral_m_s;
 }
 
-/* A coarse clock shows the same time twice: nothing is computed until it moves. */
+/* Whether to compute nothing until the clock moves: a coarse clock shows the same time twice. */
 static bool clock_may_stand_still(loop_work *work, int64_t now_ns)
 {
     bool still = work->last_ns != 0 && now_ns == work->last_ns;
@@ -297,7 +298,7 @@ static void work_once(loop_work *work, int64_t now_ns)
     bool new_command = !same_command(&work->input.command, &before);
     /* A new command, or a stop, does not wait for a line's next turn. The first step of a ramp may
      * be too small for a drive's numbers, so the next tick wakes the lines again. A refused command
-     * wakes none. */
+     * wakes no line. */
     if (new_command || work->woken || (stopping && !work->stopping)) {
         wake_lines(work);
     }
@@ -309,7 +310,7 @@ static void work_once(loop_work *work, int64_t now_ns)
     notify(work, work->ticks == 1 || work->stop_arrived);
 }
 
-/* Once a period, so that its pin changes at an even rate. */
+/* Step the watchdog once a period, so that its pin changes at an even rate. */
 static void drive_watchdog(loop_work *work, int64_t now_ns)
 {
     watchdog_input input = {

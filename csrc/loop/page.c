@@ -1,9 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * page.c: one writer, any number of readers in any process, which hold no lock and cannot disturb
- * it.
- * The layout is public: docs/state-page.md.
+ * page.c: the state page: one writer, any number of readers in any process, which hold no lock and
+ * cannot disturb the writer. The layout is public: docs/state-page.md.
  *
- * Each slot is a sequence lock (seqlock.h). The writer goes round the slots, so a reader is
+ * Each slot is a sequence lock (seqlock.h). The writer uses the slots in turn, so a reader is
  * overtaken only if it sleeps for SLOTS - 1 ticks. */
 #include <errno.h>
 #include <stdatomic.h>
@@ -24,13 +23,13 @@ typedef struct {
     _Atomic uint32_t slot_stride_bytes;
     _Atomic uint32_t slot_offset_bytes;
     _Atomic uint32_t writer_pid;
-    /* snapshots so far; the newest is in slot (published - 1) % SLOTS */
+    /* number of snapshots so far; the newest is in slot (published - 1) % SLOTS */
     _Atomic uint64_t published;
     _Atomic uint64_t reserved[3];
 } page_header;
 
 typedef struct {
-    /* 2 n: snapshot n (from 1) is whole; odd: being written */
+    /* 2 n: snapshot n (from 1) is whole; odd: it is being written */
     _Alignas(64) _Atomic uint64_t sequence;
     _Atomic uint64_t word[WORDS];
 } page_slot;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * bridge.c: from set-points to the levels of a bridge's pins. Pure: time is an argument. */
+ * bridge.c: the levels of a bridge's pins from set-points. Pure: time is an argument. */
 #include <errno.h>
 #include <math.h>
 #include <string.h>
@@ -43,7 +43,7 @@ static void obey_request(bridge_state *state, const bridge_config *config,
     } else if (control->mode == PWM_OFF) {
         (void)drive_power_off(drive);
     } else if (control->mode == PWM_STOP && answer.request == REQUEST_STAND_DOWN) {
-        /* a braking one goes on braking */
+        /* a braking bridge continues to brake */
         begin_brake(state, config, drive_quick_stop(drive, 0, view->now_ns), view->now_ns);
     }
 }
@@ -69,8 +69,8 @@ static uint32_t mode_of(const drive_state *drive, const bridge_joint *joint, boo
     return drive->stopping ? BRIDGE_BRAKE : BRIDGE_COAST;
 }
 
-/* A servo goes to the newest position, and keeps its pulses at the newest target until it has
- * stopped. Before the first position, and without power, it gets none. */
+/* Move a servo to the newest position, and keep its pulses at the newest target until it has
+ * stopped. Before the first position, and without power, it gets no pulses. */
 static void hold_positions(bridge_state *state, const bridge_config *config,
                            const setpoints *newest, bool moving)
 {
@@ -103,7 +103,7 @@ void bridge_step(bridge_state *state, const bridge_config *config, const bridge_
 {
     drive_state *drive = &state->drive;
     drive_view view = view_of(state, config, newest, now_ns);
-    drive->mode = drive->mode == DRIVE_OFF ? DRIVE_READY : drive->mode; /* it has no set-up */
+    drive->mode = drive->mode == DRIVE_OFF ? DRIVE_READY : drive->mode; /* a bridge has no set-up */
     obey_request(state, config, control, &view);
     begin_brake(state, config, drive_guard(drive, &view), now_ns);
     (void)drive_end_stopping(drive, now_ns >= state->brake_until_ns, now_ns);
@@ -145,7 +145,7 @@ static bool output_is_good(const bridge_config *config, const bridge_pin *output
     good = good && (output->pumps == 0 || output->fd < 0);
     for (uint32_t mode = 0; mode < BRIDGE_MODES; mode++) {
         double low = output->base[mode], high = low + output->slope[mode];
-        good = good && low >= 0.0 && low <= 1.0 && high >= 0.0 && high <= 1.0; /* NaN is neither */
+        good = good && low >= 0.0 && low <= 1.0 && high >= 0.0 && high <= 1.0; /* false for NaN */
     }
     return good;
 }

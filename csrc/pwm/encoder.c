@@ -1,12 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * encoder.c: from edges, or from a counter, to a count and a speed.
+ * encoder.c: count and speed from edges, or from a counter.
  *
- * Speed by counts over the time between edges (the M/T method): Ohmae et al., A
+ * Speed is counts over the time between edges (the M/T method): Ohmae et al., A
  * microprocessor-controlled high-accuracy wide-range speed regulator for motor drives, IEEE
- * Transactions on Industrial Electronics IE-29(3), 1982. Without an edge it cannot be more than one
- * count in the time since the last one. Events: kernel, include/uapi/linux/gpio.h (v2).
- */
+ * Transactions on Industrial Electronics IE-29(3), 1982. Without an edge it is at most one count in
+ * the time since the last one. Events: kernel, include/uapi/linux/gpio.h (v2). */
 #include <errno.h>
 #include <linux/gpio.h>
 #include <math.h>
@@ -16,10 +15,11 @@
 #include "rt.h"
 
 enum { EVENTS_AT_ONCE = 64, READS_MAX = 16, LEVEL_A = 2, LEVEL_B = 1 };
-static const int64_t STOPPED_NS = 250000000; /* without an edge for this long the wheel stands */
-static const int64_t SHORTEST_NS = 1000;     /* between two measures: closer edges are noise */
+static const int64_t STOPPED_NS = 250000000; /* time without an edge after which the wheel stands */
+static const int64_t SHORTEST_NS = 1000;     /* least time between two measurements: closer edges
+                                                are noise */
 
-/* By 2 A + B before and now. One of the two lines changes at a time; A before B is forward. */
+/* Step by 2 A + B before and now. One of the two lines changes at a time; A before B is forward. */
 static const int8_t STEP[16] = {0, -1, 1, 0, 1, 0, 0, -1, -1, 0, 0, 1, 0, 1, -1, 0};
 
 void encoder_init(encoder_state *state, const encoder_config *config)
@@ -38,8 +38,8 @@ void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t o
     state->sequence = sequence;
     uint32_t line = offset == config->a_offset ? LEVEL_A : LEVEL_B;
     uint32_t now = high ? state->levels | line : state->levels & ~line;
-    /* The kernel reads the level after the interrupt: for a short pulse both events show the level
-     * at its end. */
+    /* The kernel reads the level after the interrupt: after a short pulse, both events show the
+     * level at its end. */
     if (now == state->levels) {
         state->illegal++;
         return;
@@ -49,12 +49,12 @@ void encoder_edge(encoder_state *state, const encoder_config *config, uint32_t o
     state->edge_ns = stamp_ns;
 }
 
-/* The shorter of the two directions. */
+/* Return the difference by the shorter of the two directions. */
 static int64_t difference(uint64_t now, uint64_t before, uint64_t ceiling)
 {
     uint64_t forward = now - before;
     if (now < before) {
-        forward += ceiling + 1; /* 2^64 wraps to nothing, as it must */
+        forward += ceiling + 1; /* 2^64 wraps to 0, as it must */
     }
     return forward > ceiling / 2 ? -(int64_t)(ceiling - forward) - 1 : (int64_t)forward;
 }

@@ -16,7 +16,7 @@
 #include "fresh.h"
 #include "loop.h"
 
-enum { EPOCH_BITS = 16 }; /* of the encoder's own epochs, below those of openings */
+enum { EPOCH_BITS = 16 }; /* for the encoder's own epochs, below those of openings */
 static const int64_t NS_PER_S = 1000000000;
 static const int64_t REPORT_EVERY_NS = 40 * 1000000, GAP_NS = 1000000;
 static const int32_t AT_GPIO = -1, AT_ENCODER = -2;
@@ -50,7 +50,7 @@ typedef struct {
     bridge_report out;
     encoder_state encoder[JOINTS_MAX];
     uint64_t duty_ns[PWM_OUTPUTS_MAX];
-    bool known[PWM_OUTPUTS_MAX]; /* duty_ns is in the file */
+    bool known[PWM_OUTPUTS_MAX]; /* the file contains duty_ns */
     uint64_t bits;
     bool bits_known;
     int64_t reported_ns;
@@ -66,7 +66,7 @@ static void wake(const pwm_thread *t)
 {
     const uint64_t one = 1;
     if (write(t->wake_fd, &one, sizeof one) < 0) {
-        return; /* full: it is woken already */
+        return; /* full: the thread is woken already */
     }
 }
 
@@ -126,8 +126,8 @@ static void wanted_bits(const pwm_thread *t, const double *level, uint64_t *bits
     }
 }
 
-/* A joint's pins while its GPIO lines change: its channels rest, or the old duty would act in the
- * new direction. */
+/* Whether a joint's GPIO lines change: then its channels rest, or the old duty would act in the new
+ * direction. */
 static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
 {
     for (uint32_t i = 0; i < t->config.output_count; i++) {
@@ -140,8 +140,8 @@ static bool turns(const pwm_thread *t, uint32_t joint, uint64_t bits)
     return false;
 }
 
-/* Channels that rest in this cycle, or whose joint's lines are about to change. The first error;
- * all are tried. */
+/* Bring to rest the channels that rest in this cycle, or whose joint's lines are about to change.
+ * All are tried. Returns the first error. */
 static int bring_down(pwm_thread *t, const double *level, uint64_t bits, uint64_t mask)
 {
     int first = 0;
@@ -158,8 +158,8 @@ static int bring_down(pwm_thread *t, const double *level, uint64_t bits, uint64_
     return first;
 }
 
-/* Falling duties first, then the lines, then rising duties. No step after a failed one: a duty that
- * could not be lowered would act in the new direction. */
+/* Write falling duties first, then the lines, then rising duties. No step follows a failed one: a
+ * duty that could not be lowered would act in the new direction. */
 static int apply(pwm_thread *t, const double *level)
 {
     uint64_t bits, mask;
@@ -179,8 +179,8 @@ static bool is_high(const bridge_pin *output, uint32_t mode)
     return output->base[mode] >= 0.5;
 }
 
-/* GPIO lines of a joint whose levels at COAST are those of a direction (PWM and DIR): they do not
- * remove power, only the duty does. */
+/* Return the GPIO lines of a joint whose levels at COAST are those of a direction (PWM and DIR):
+ * they do not remove power; only the duty does. */
 static uint64_t lines_without_power(const pwm_thread *t, uint32_t joint)
 {
     uint64_t bits = 0;
@@ -197,7 +197,7 @@ static uint64_t lines_without_power(const pwm_thread *t, uint32_t joint)
     return as_forward || as_reverse ? bits : 0;
 }
 
-/* COAST everywhere, even if a write fails. If a duty cannot be lowered, lines that only set the
+/* Set COAST everywhere, even if a write fails. If a duty cannot be lowered, lines that only set the
  * direction stay as they are. */
 static int rest(pwm_thread *t)
 {
@@ -216,7 +216,7 @@ static int rest(pwm_thread *t)
             output->fd >= 0 && !t->known[i] ? ~lines_without_power(t, output->joint) : UINT64_MAX;
     }
     int lines_error = write_bits(t, bits, mask);
-    int left = bring_down(t, level, bits, mask); /* repeats what failed */
+    int left = bring_down(t, level, bits, mask); /* repeats the failed writes */
     t->out.rest_output = left != 0 ? t->out.error_output : AT_GPIO;
     t->out.rest_error = left != 0 ? -left : -lines_error;
     return error != 0 ? error : lines_error;
@@ -308,12 +308,13 @@ static void put_report(pwm_thread *t, bool running, int error, int64_t now_ns,
     }
     const uint64_t one = 1;
     if (notify && t->config.event_fd >= 0 && write(t->config.event_fd, &one, sizeof one) < 0) {
-        return; /* full: its reader is woken already */
+        return; /* full: the reader is woken already */
     }
 }
 
 /* --------------------------------------------------------------------------- the thread */
-/* Not `is_due`: the loop has woken it early. A pump does not change then, to keep its frequency. */
+/* Do a cycle. Not `is_due`: the loop has woken the thread early. A pump does not change then, to
+ * keep its frequency. */
 static int cycle(pwm_thread *t, int64_t now_ns, bool is_due)
 {
     double level[PWM_OUTPUTS_MAX];
@@ -342,8 +343,8 @@ static void sleep_until(int64_t time_ns)
     (void)clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL);
 }
 
-/* Waits until it is due, or the loop wakes it for a new command or a stop, which leaves at once,
- * but GAP_NS after the cycle before. 0 or -errno. */
+/* Wait until the cycle is due, or the loop wakes the thread for a new command or a stop, which
+ * leaves at once, but GAP_NS after the previous cycle. Returns 0 or -errno. */
 static int wait_for_turn(const pwm_thread *t, int64_t due_ns, int64_t begun_ns)
 {
     int64_t left_ns = due_ns - clock_now_ns();

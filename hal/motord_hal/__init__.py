@@ -1,3 +1,3 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord's hardware layer: lines, drives as data, simulated drives. Imports nothing of the
+"""motord's hardware layer: lines, drive profiles, simulated drives. It imports nothing from the
 daemon."""

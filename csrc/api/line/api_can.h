@@ -1,15 +1,15 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * api_can.h: the part of the border that CAN buses need. Read after api_line.h, whose modes,
- * requests and kinds of fields it shares, and like it: typedefs, enums, comments and prototypes, no
- * preprocessor line.
+ * api_can.h: the part of the border for CAN buses. Read after api_line.h, whose modes, requests and
+ * kinds of fields it shares, and like it: typedefs, enums, comments and prototypes, no preprocessor
+ * line.
  */
 
 /* ----------------------------------------------------------------------------------- CAN buses
- * One CAN bus under one thread. What is sent in each cycle, what comes, and what stops a drive is a
- * table, made by Python from the drive profiles, checked and copied here. Jobs (set up, arm,
- * parameters) stay Python's: their frames go out through a queue, and while a job goes on Python
- * is handed the frames of its drive. */
+ * One CAN bus under one thread. A table defines the frames of each cycle, the received frames, and
+ * the stops of a drive. Python makes it from the drive profiles; it is checked and copied here.
+ * Jobs (set up, arm, parameters) stay in Python: their frames go out through a queue, and during a
+ * job Python gets the frames of its drive. */
 enum {
     CAN_DRIVES_MAX = 8,
     CAN_OUTPUTS_MAX = 4,
@@ -28,35 +28,35 @@ enum {
 
 /* A frame on the CAN bus. */
 typedef struct {
-    uint32_t id;    /* as linux/can.h: bit 31 extended, bit 30 remote, bit 29 error frame */
-    uint32_t bytes; /* of a remote frame: the length that it requests */
+    uint32_t id;    /* like linux/can.h: bit 31 extended, bit 30 remote, bit 29 error frame */
+    uint32_t bytes; /* for a remote frame: the length that it requests */
     uint32_t fd;    /* 1: a frame of CAN FD, its data at the data bit rate */
     uint32_t reserved;
     uint8_t data[CAN_BYTES_MAX];
 } can_packet;
 
-/* FLOAT: IEEE 754 binary32 */
+/* FLOAT is IEEE 754 binary32. */
 typedef enum { CAN_UNSIGNED = 0, CAN_SIGNED = 1, CAN_FLOAT = 2 } can_form;
 
 /* Adjacent bits of a frame. */
 typedef struct {
-    uint32_t start_bit; /* little-endian: from the least significant bit of byte 0 upward;
-                           big-endian: from the most significant bit of byte 0 on */
-    uint32_t length;    /* 1..32; of a float 32 */
+    uint32_t start_bit; /* little-endian: counted from the least significant bit of byte 0 upward;
+                           big-endian: counted from the most significant bit of byte 0 on */
+    uint32_t length;    /* 1..32; 32 for a float */
     uint32_t big_endian;
     uint32_t form; /* can_form */
 } can_place;
 
-/* Where a frame holds what a joint is to do. */
+/* Place of a joint's set-point in a frame. */
 typedef struct {
     can_place place;
     setpoint_scale scale;
-    can_place trigger; /* of a POSITION: a bit with whose rising edge the drive takes the target,
-                          set until it confirms (FIELD_TAKEN), and never in a frame that moves
-                          nothing; length 0: each target counts */
+    can_place trigger; /* for a POSITION: bit whose rising edge makes the drive take the target. It
+                          is set until the drive confirms (FIELD_TAKEN), and never in a frame that
+                          moves nothing; length 0: no such bit */
 } can_setpoint;
 
-/* A frame of every cycle. What is not set-point stands as in `packet`, or as it was written last
+/* A frame of every cycle. Bits without set-points are those of `packet`, or those written last
  * (can_write.output). */
 typedef struct {
     can_packet packet;
@@ -65,62 +65,63 @@ typedef struct {
     can_setpoint setpoint[CAN_SETPOINTS_MAX];
 } can_output;
 
-/* A frame that is written once. One that is also a frame of every cycle changes only the bits of
- * `mask` in it, and they stay: what it sends next carries them, too (the control word of CiA
- * 402). */
+/* A frame that is written once. If it is also a frame of every cycle, it changes only the bits of
+ * `mask` there, for all later cycles, too (the control word of CiA 402). */
 typedef struct {
     can_packet packet;
-    uint32_t output; /* 1 + number of the output that it is; 0: none */
+    uint32_t output; /* 1 + number of the output with this frame; 0: no output */
     uint32_t reserved;
     uint8_t mask[CAN_BYTES_MAX];
 } can_write;
 
-/* A place of a value in a frame of the drive. */
+/* Place of a value in a frame of the drive. */
 typedef struct {
     can_place place;
-    field_meaning meaning; /* no KEPT; COUNT: si is counts */
+    field_meaning meaning; /* never KEPT; COUNT: si is counts */
     double si_at_zero;     /* value of raw 0 */
 } can_field;
 
 /* A frame of the drive that the cycle uses. */
 typedef struct {
-    int64_t silence_ns; /* unresponsive after so long without it; 0: it may be missing */
-    int64_t spacing_ns; /* a frame that comes sooner after the last one adds nothing: the CAN bus
-                           has held it up */
-    uint32_t fast;      /* 1: with all of them the drive's joints are known */
+    int64_t silence_ns; /* time without the frame after which the drive is unresponsive; 0: it may
+                           be missing */
+    int64_t spacing_ns; /* least time between two measurements: frames that come sooner were held up
+                           by the CAN bus and add nothing */
+    uint32_t fast;      /* 1: these frames together have the values of all joints */
     uint32_t field_count;
     can_field field[CAN_FIELDS_MAX];
 } can_input;
 
 /* How a frame of the drive is recognised. */
 typedef struct {
-    uint32_t id;    /* with bit 31 where it is extended */
-    uint32_t bytes; /* at least */
+    uint32_t id;    /* identifier, with bit 31 for an extended frame */
+    uint32_t bytes; /* least number of bytes */
     uint32_t begins_bytes;
-    uint32_t input; /* 1 + number of the input that it is; 0: Python's alone */
+    uint32_t input; /* 1 + number of the input with this frame; 0: only for Python */
     uint8_t begins[CAN_BEGINS_MAX];
-    uint8_t begins_mask[CAN_BEGINS_MAX]; /* bits of it that identify it; the others are free */
+    uint8_t begins_mask[CAN_BEGINS_MAX]; /* bits that identify the frame; the others are free */
 } can_match;
 
 typedef struct {
-    uint32_t tries;           /* reported after so many times enabled without being armed: 1.. */
+    uint32_t tries;           /* 1..: number of consecutive reports of power without being armed
+                                 after which this is reported */
     uint32_t slow_every;      /* cycles between two requests that may wait: 1.. */
     uint32_t idle_setpoints;  /* 1: zero is sent in READY, too */
-    uint32_t reports_enabled; /* 0: it cannot report it, so it gets its disarm again at times in
-                                 READY */
+    uint32_t reports_enabled; /* 0: the drive cannot report its power, so it gets its disarm again
+                                 at times in READY */
     uint32_t hello; /* 1 + number of the input that alone shows that an unresponsive drive is back;
-                       0: all with a silence_ns */
+                       0: all with a silence_ns do */
     uint32_t output_count;
     uint32_t poll_count;  /* requested in each cycle */
-    uint32_t slow_count;  /* by turns */
+    uint32_t slow_count;  /* requested in turn */
     uint32_t probe_count; /* requested of an unresponsive drive */
     uint32_t match_count;
     uint32_t input_count;
     uint32_t quick_stop_count;
     uint32_t disarm_count;
     uint32_t reserved;
-    int64_t watchdog_ns; /* without set-points for so long while armed: it may have stopped; 0:
-                            never */
+    int64_t watchdog_ns; /* time without set-points while armed after which the drive may have
+                            stopped; 0: never */
     can_output output[CAN_OUTPUTS_MAX];
     can_packet poll[CAN_POLLS_MAX];
     can_packet slow[CAN_POLLS_MAX];
@@ -135,13 +136,13 @@ typedef struct {
     uint32_t drive_count; /* 1..CAN_DRIVES_MAX */
     uint32_t sync_count;  /* frames for all drives at once, at the end of each cycle */
     can_packet sync[CAN_SYNCS_MAX];
-    int64_t period_ns;           /* of the cycle: > 0 */
-    int64_t setpoint_timeout_ns; /* set-points older than this: quick stop */
+    int64_t period_ns;           /* period of the cycle: > 0 */
+    int64_t setpoint_timeout_ns; /* age of set-points that causes a quick stop */
     double rest_velocity_rad_s;  /* a wheel slower than this is at rest: > 0 */
     can_drive drive[CAN_DRIVES_MAX];
 } can_table;
 
-/* As line_control. */
+/* Like line_control. */
 typedef struct {
     mode_request drive[CAN_DRIVES_MAX];
     uint32_t shut_down;
@@ -153,7 +154,7 @@ typedef struct {
     can_write write;
     int64_t expires_ns;
     uint32_t drive;
-    /* 1: dropped if the drive's `stops` differs: it was stopped meanwhile */
+    /* 1: dropped if the drive's `stops` differs, because it was stopped meanwhile */
     uint32_t guarded;
     uint32_t stops;
     uint32_t reserved;
@@ -161,7 +162,7 @@ typedef struct {
 
 typedef struct {
     can_packet packet;
-    int64_t stamp_ns; /* when the kernel saw it */
+    int64_t stamp_ns; /* time when the kernel received it */
     uint32_t drive;   /* CAN_DRIVES_MAX: an error frame */
     uint32_t reserved;
 } can_received;
@@ -170,23 +171,24 @@ typedef struct {
     uint32_t mode;          /* drive_mode */
     uint32_t fault_reasons; /* DRIVE_FAULT_* */
     uint32_t request_seen;
-    uint32_t enabled;  /* 1, 0, 2: not reported yet */
+    uint32_t enabled;  /* 1: yes, 0: no, 2: not reported yet */
     uint32_t stopping; /* a quick stop was sent, and the wheels have not been seen at rest since */
-    uint32_t sent_motion;  /* its newest set-points are not zero */
-    uint32_t missing;      /* 1 + number of the input that is not there; 0: none */
-    uint32_t stops;        /* how often it was stopped, by C or by a request */
-    uint64_t cycles;       /* feedback that was made of it */
+    uint32_t sent_motion;  /* 1: the newest set-points are not zero */
+    uint32_t missing;      /* 1 + number of the missing input; 0: no input is missing */
+    uint32_t stops;        /* number of stops, by C or by a request */
+    uint64_t cycles;       /* number of feedbacks made from its frames */
     uint64_t received;     /* frames */
-    uint64_t unresponsive; /* how often it became UNRESPONSIVE */
+    uint64_t unresponsive; /* number of times that the drive became UNRESPONSIVE */
     int64_t received_ns;
-    uint32_t epoch; /* of its feedback */
+    uint32_t epoch; /* epoch of its feedback */
     uint32_t orders_sent;
-    uint32_t orders_dropped; /* too late, or guarded and the drive was stopped */
-    uint32_t faults;         /* how often a joint's fault word became one that stops, */
-    uint32_t last_fault;     /* and the newest such word: a stop may have cleared it in the drive */
+    uint32_t orders_dropped; /* number of dropped orders: too late, or guarded and the drive was
+                                stopped */
+    uint32_t faults;         /* number of times that a joint's fault word became one that stops */
+    uint32_t last_fault;     /* the newest such word: a stop may have cleared it in the drive */
     uint32_t last_fault_joint;
-    uint32_t may_turn;   /* armed since it was last set up, also before the line was opened */
-    uint32_t stop_waits; /* the CAN bus has not taken all of its newest stop; at the end: the drive
+    uint32_t may_turn;   /* 1: armed since its newest set-up, also before the line was opened */
+    uint32_t stop_waits; /* the CAN bus has not taken all of the newest stop; at the end: the drive
                             has not confirmed that it has no power */
 } can_drive_report;
 
@@ -197,40 +199,40 @@ typedef struct {
     uint64_t cycles;
     uint64_t received; /* frames of the drives */
     uint64_t sent;
-    uint64_t tx_full;     /* frames that the CAN bus did not take: the next one is newer */
+    uint64_t tx_full;     /* frames that the CAN bus did not take; the next one is newer */
     uint64_t bad_frames;  /* frames with a drive's identifier and unknown content */
-    uint64_t dropped;     /* frames for which Python's queue had no place */
+    uint64_t dropped;     /* frames for which Python's queue had no room */
     int64_t cycle_ns;     /* smoothed time between two cycles */
-    int64_t setpoints_ns; /* stamp of the newest set-points; 0: none came */
-    uint32_t fault_word[JOINTS_MAX]; /* whole, by the core's joint number */
+    int64_t setpoints_ns; /* stamp of the newest set-points; 0: no set-points yet */
+    uint32_t fault_word[JOINTS_MAX]; /* whole words, by the core's joint number */
     can_drive_report drive[CAN_DRIVES_MAX];
 } can_report;
 
-/* State of the drives from before the line was opened; zeros: none. */
+/* State of the drives from before the line was opened; zeros: nothing is known. */
 typedef struct {
-    uint32_t epoch;        /* of their feedback */
-    uint32_t may_turn;     /* bit n: drive n may turn: it gets a stop until it is set up again */
+    uint32_t epoch;        /* epoch of their feedback */
+    uint32_t may_turn;     /* bit n: drive n may turn, and gets a stop until it is set up again */
     uint32_t left_running; /* another program left all drives so: each begins with a quick stop,
-                              with no set-up before it */
+                              without a set-up before it */
     uint32_t reserved;
 } can_before;
 
 typedef struct {
     line_place at; /* CAN_RAW, or SOCK_SEQPACKET that carries struct can_frame and canfd_frame;
-                      woken by frames for Python and of changes of a mode */
+                      woken by frames for Python and by changes of a mode */
     can_before before;
 } can_config;
 
-/* NULL when good; else the name of the first bad field. Static storage of the caller:
- * name[FIELD_NAME_BYTES]. */
+/* Check a table. Returns NULL when it is good, else the name of the first bad field. The caller
+ * provides name[FIELD_NAME_BYTES]. */
 const char *can_table_check(const can_table *table, char *name);
 
-/* One thread a line, in static memory. 0; -EINVAL; -EBUSY; -errno of what cannot be done
- * without. */
+/* Start a line: one thread for each line, in static memory. Returns 0; -EINVAL; -EBUSY; -errno of a
+ * step that is indispensable. */
 int can_start(uint32_t line, const can_config *config, const can_table *table);
 int can_stop(uint32_t line); /* joins; 0 or -ESRCH */
 void can_put_control(uint32_t line, const can_control *control);
-/* 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread */
+/* Returns 0; -EAGAIN: full; -EINVAL; -ESRCH: no thread. */
 int can_put_order(uint32_t line, const can_order *order);
-int can_take_received(uint32_t line, can_received *received); /* 1: one; 0: none */
+int can_take_received(uint32_t line, can_received *received); /* 1: a frame; 0: no frame */
 int can_read_report(uint32_t line, can_report *report);       /* 0 or -ESRCH: never started */

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * duties.h: speeds of wheels as duties, and which joints do not reach theirs. A part of core.c, as
- * snapshot.h is.
+ * duties.h: duties of wheel speeds, and the joints that do not reach theirs. A part of core.c, like
+ * snapshot.h.
  */
 #ifndef MOTORD_DUTIES_H
 #define MOTORD_DUTIES_H
@@ -9,7 +9,7 @@
 #include "rt.h"
 #include "wheel.h"
 
-/* speed → PWM of one wheel */
+/* Compute speed → PWM of one wheel. */
 static inline uint32_t set_wheel(core_state *state, uint32_t j, double wanted_rad_s, double dt_s)
 {
     const joint_config *joint = &state->config.joint[j];
@@ -21,8 +21,8 @@ static inline uint32_t set_wheel(core_state *state, uint32_t j, double wanted_ra
     return output.reasons;
 }
 
-/* Rare: the joints that cause the reasons. slewing: bit n: joint n slows the ramp down; a duty that
- * differs from that of its speed has been slewed. */
+/* Find the joints that cause the reasons, which is rare. slewing: bit n: joint n slows the ramp
+ * down. A duty that differs from that of its speed has been slewed. */
 __attribute__((noinline)) static void name_duties(core_state *state, uint32_t slewing)
 {
     reasons_shown *to = &state->snapshot.reason;

@@ -1,20 +1,19 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * joints.c: wheel speeds as a twist. A base has no other motion: any other speeds would work
- * against each other and slip on the floor.
- */
+ * joints.c: wheel speeds as a twist. A base has no other motion: with any other speeds the wheels
+ * would work against each other and slip on the floor. */
 #include "rt.h"
 
 #include <math.h>
 
-static const double APART = 0.01; /* a rim may differ from the twist by this share of the fastest
-                                     rim's speed */
-static const double APART_M_S = 1e-6; /* and by this, for rounding */
+static const double APART = 0.01; /* allowed difference of a rim's speed from the twist, as a share
+                                     of the fastest rim's speed */
+static const double APART_M_S = 1e-6; /* and in addition, for rounding */
 
 bool joints_twist(const core_config *base, const double *velocity_rad_s, double *twist_u_s)
 {
     if (base->module_count > 0) {
-        return false; /* wheel speeds alone do not say where its wheels point */
+        return false; /* wheel speeds alone do not give the directions of its wheels */
     }
     twist_inverse all;
     double rim_m_s[JOINTS_MAX], fastest_m_s = 0.0, would_rad_s[JOINTS_MAX];

@@ -24,16 +24,16 @@
 #include <float.h>
 #include <string.h>
 
-/* Where the four reasons of each axis begin, by that of the linear one. */
+/* First bits of the four reasons of each axis, counted from the linear one. */
 static const uint32_t SHIFT_OF_AXIS[AXES] = {
     [AXIS_LINEAR] = 0, [AXIS_ANGULAR] = 4, [AXIS_LATERAL] = 11};
 _Static_assert(REASON_LINEAR_VELOCITY << 4 == REASON_ANGULAR_VELOCITY, "SHIFT_OF_AXIS");
 _Static_assert(REASON_LINEAR_VELOCITY << 11 == REASON_LATERAL_VELOCITY, "SHIFT_OF_AXIS");
 
-/* The share of what is left that a second covers, and what bounds it. */
+/* Share of the remaining change that a second covers, and the limit that bounds it. */
 typedef struct {
     double rate_s;
-    double sum_s; /* sum of all that was examined, none of it negative: NaN if a part is NaN */
+    double sum_s; /* sum of all examined rates, which are not negative: NaN if one is NaN */
     uint32_t reason;
 } pace;
 
@@ -46,18 +46,18 @@ static inline void bind(pace *least, double rate_s, uint32_t reason)
     }
 }
 
-/* The largest rate that can still fall to zero, by `step` each step, before `gap` is used up; `gap`
- * is what is left, over dt. Falling from a, n steps cover n a - step n (n - 1) / 2, and the fewest
- * that reach zero are the smallest n with gap <= step n (n + 1) / 2. */
+/* Return the largest rate that can still fall to zero, by `step` each step, before `gap` is used
+ * up; `gap` is the rest, over dt. Falling from a, n steps cover n a - step n (n - 1) / 2, and the
+ * fewest that reach zero are the smallest n with gap <= step n (n + 1) / 2. */
 static double easing(double gap_s, double step_s)
 {
     double steps = ceil((sqrt(1.0 + 8.0 * gap_s / step_s) - 1.0) * 0.5);
     return gap_s / steps + 0.5 * step_s * (steps - 1.0);
 }
 
-/* The largest rate from which `step` each step still leads to `after` or less in the step that
- * covers `gap`. Falling from a, n steps before it: n a - step n (n - 1) / 2 <= gap and a - step
- * n <= after, with the largest such n. */
+/* Return the largest rate from which `step` each step still leads to `after` or less in the step
+ * that covers `gap`. Falling from a, n steps before it: n a - step n (n - 1) / 2 <= gap and a -
+ * step n <= after, with the largest such n. */
 static double turning(double gap_s, double after_s, double step_s)
 {
     if (!(gap_s > after_s)) {
@@ -76,14 +76,14 @@ static double turning(double gap_s, double after_s, double step_s)
     return by_after_s < by_gap_s ? by_after_s : by_gap_s;
 }
 
-/* A speed that changes its sign before it arrives, and may gain less after it than it may lose
+/* Whether a speed changes its sign before the goal, and may then gain less than it may lose
  * before. */
 static inline bool turns(double from, double goal, double gains, double loses)
 {
     return from * goal < 0.0 && gains < loses;
 }
 
-/* What the limits of one axis leave: of its acceleration, and of the growth of it. */
+/* Apply the limits of one axis: on its acceleration, and on the growth of it. */
 static inline void keep_axis(pace *least, pace *step, const limit_state *axis,
                              const axis_limits *limits, double goal_u_s, double dt_s, bool urgent,
                              uint32_t shift)
@@ -109,8 +109,8 @@ static inline void keep_axis(pace *least, pace *step, const limit_state *axis,
     bind(least, bound_u_s2 / size_u_s, reason << shift);
 }
 
-/* Eased by `step` each step, a speed meets its change of sign with no more than it may gain
- * after it. */
+/* Ease a speed by `step` each step, so that at its change of sign it changes by no more than it may
+ * gain afterwards. */
 static void keep_turn(pace *least, double from, double goal, double gains, double step_s,
                       double dt_s, uint32_t reason)
 {
@@ -118,8 +118,8 @@ static void keep_turn(pace *least, double from, double goal, double gains, doubl
     bind(least, turning(fabs(from) / (change * dt_s), gains / change, step_s), reason);
 }
 
-/* Duty slews bound how fast a wheel's speed grows. The last of the bounds: slewing is the joint
- * with the least room. */
+/* Apply the duty slews, which bound how fast a wheel's speed grows. This is the last of the bounds:
+ * slewing is the joint with the least room. */
 static void keep_duties(pace *least, const core_config *base, const limit_state *axis,
                         const double *goal_u_s, double step_s, double dt_s, uint32_t *slewing)
 {

@@ -1,10 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * loops.h: the speed loops of a base's wheels in a tick. A part of core.c, as snapshot.h is.
+ * loops.h: the speed loops of a base's wheels in a tick. A part of core.c, like snapshot.h.
  *
  * Duties of the open-loop map stay in core_wheels: a wheel without trusted feedback gets them, and
- * they slew the ramp. Those of a loop take their place when the set-points are written.
- */
+ * they slew the ramp. Outputs of a loop replace them when the set-points are written. */
 #ifndef MOTORD_LOOPS_H
 #define MOTORD_LOOPS_H
 
@@ -14,13 +13,14 @@
 #include <math.h>
 #include <string.h>
 
-/* after a longer pause the ramps go on as if it had been this */
+/* after a longer pause the ramps continue as if it had been this long */
 static const double DT_MAX_S = 0.1;
-static const double OVERSPEED = 1.5; /* times its limit: more than a well-tuned loop overshoots */
-/* of a loop without gains: the open-loop map takes over */
+static const double OVERSPEED = 1.5; /* times the speed limit: more than the overshoot of a
+                                        well-tuned loop */
+/* limit of the integral of a loop without gains, below which the open-loop map takes over */
 static const double INTEGRAL_GONE = 1e-4;
 
-/* Whether its gains make the loop do anything. */
+/* Whether the loop's gains make it do anything. */
 static inline bool loop_is_on(const core_state *state, uint32_t j)
 {
     const speed_loop_gains *gains = &state->gains[j];
@@ -30,8 +30,8 @@ static inline bool loop_is_on(const core_state *state, uint32_t j)
     return kind == SPEED_LOOP_TORQUE || (kind == SPEED_LOOP_DUTY && some);
 }
 
-/* Gains of all joints or, where one of them is out of range, of none. A loop whose gains change
- * goes on from the output of before; one that begins, from the duty of the map. */
+/* Take the gains of all joints or, if one of them is out of range, of no joint. A loop whose gains
+ * change continues from its last output; one that begins continues from the duty of the map. */
 static inline void take_gains(core_state *state, const core_control *control)
 {
     uint32_t count = state->config.joint_count;
@@ -61,7 +61,8 @@ static inline bool runs_away(const joint_config *joint, double velocity_rad_s)
     return fabs(velocity_rad_s) > OVERSPEED * limit;
 }
 
-/* The output while a wheel's speed is unknown: no torque, or the duty of the open-loop map. */
+/* Return the output while a wheel's speed is unknown: no torque, or the duty of the open-loop
+ * map. */
 static inline double without_loop(const core_state *state, uint32_t j)
 {
     bool duty = state->config.joint[j].speed_loop.kind == SPEED_LOOP_DUTY &&
@@ -69,8 +70,8 @@ static inline double without_loop(const core_state *state, uint32_t j)
     return duty ? state->wheels.joint[j].duty : 0.0;
 }
 
-/* What may go out now: a duty rises away from zero by its slew at most, from the dead band's
- * edge. */
+/* Set the range of the output: a duty rises away from zero at most by its slew, from the dead
+ * band's edge. */
 static inline void bound_output(const joint_config *joint, double last_u, speed_loop_input *input,
                                 double dt_s)
 {
@@ -84,7 +85,8 @@ static inline void bound_output(const joint_config *joint, double last_u, speed_
     input->low_u = fmax(input->low_u, -(fmax(-last_u, joint->pwm.dead_band) + rises));
 }
 
-/* Without power, without a measure, or once it ran away, the loop does nothing. */
+/* Return the loop's output: 0 without power, the output without a loop if nothing is measured or
+ * the wheel ran away. */
 static inline double loop_output(core_state *state, uint32_t j, double dt_s)
 {
     const joint_config *joint = &state->config.joint[j];
@@ -113,7 +115,8 @@ static inline double loop_output(core_state *state, uint32_t j, double dt_s)
     return speed_loop_step(loop, &joint->speed_loop, &state->gains[j], &input, dt_s);
 }
 
-/* A loop whose gains are all zero: once its integral is gone, only the open-loop map is left. */
+/* End a loop whose gains are all zero, once its integral is gone: only the open-loop map is
+ * left. */
 static inline void end_loop(core_state *state, uint32_t j)
 {
     if (!loop_is_on(state, j) && fabs(state->speed_loop[j].integral_u) < INTEGRAL_GONE) {
@@ -123,8 +126,8 @@ static inline void end_loop(core_state *state, uint32_t j)
     }
 }
 
-/* New gains, and a step of each loop. Not called where there are neither: a tick without loops
- * costs one comparison. */
+/* Take new gains, and do a step of each loop. Not called without gains and loops: then a tick costs
+ * one comparison. */
 __attribute__((noinline)) static void set_loops(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
@@ -148,7 +151,7 @@ __attribute__((noinline)) static void set_loops(core_state *state, const tick *t
     }
 }
 
-/* Discards the outputs of all loops. */
+/* Discard the outputs of all loops. */
 static inline void loops_off(core_state *state)
 {
     memset(state->speed_loop, 0, sizeof state->speed_loop);

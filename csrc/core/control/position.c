@@ -1,17 +1,16 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
  * position.c: the motion of a joint to an angle: the fastest within velocity and acceleration that
- * ends at rest on the goal, whatever time its steps take.
- */
+ * ends at rest at the goal, whatever time its steps take. */
 #include "core.h"
 
 #include <math.h>
 
-/* The largest speed after which, at the end of this step, the joint can still come to rest before
- * the goal: v dt + v^2 / 2 a is no more than what is left. A step that brakes by a dt covers less
- * than v^2 / 2 a does in that time, whether it is as long as this one or not: the next one may be
- * late, or early. The root in the form that holds near the goal, too, where v is small beside a
- * dt. */
+/* Return the largest speed from which, after this step, the joint can still come to rest before the
+ * goal: v dt + v^2 / 2 a is no more than the rest of the distance. A step that brakes by a dt
+ * covers less than v^2 / 2 a does in that time, whether it is as long as this one or not: the next
+ * one may be late, or early. This form of the root is exact near the goal, too, where v is small
+ * beside a dt. */
 static double braking(double left_rad, double acceleration_rad_s2, double dt_s)
 {
     double step_rad_s = acceleration_rad_s2 * dt_s,
@@ -37,18 +36,18 @@ void position_step(position_profile *profile, const position_config *config, dou
     double next_rad_s =
         fmin(fmax(wanted_rad_s, before_rad_s - step_rad_s), before_rad_s + step_rad_s);
     double moved_rad = next_rad_s * dt_s;
-    /* rounded, the last step is the whole distance, or passes the goal; the next one drops the
+    /* if rounded, the last step is the whole distance, or passes the goal; the next one drops the
      * remaining speed */
     bool arrives = next_rad_s == wanted_rad_s && fabs(moved_rad) >= fabs(left_rad);
     profile->position_rad = arrives ? goal_rad : from_rad + moved_rad;
     profile->velocity_rad_s = next_rad_s;
 }
 
-/* A position loop lags behind a target that moves: its speed over the loop's gain, which is 4 /
- * s and more. */
+/* Lag of a position loop behind a target that moves: its speed over the loop's gain, which is 4 / s
+ * or more. */
 static const double LAG_S = 0.25;
-static const double NEARER_PART = 0.1; /* of following_rad: a joint that comes nearer by less does
-                                          not come nearer */
+static const double NEARER_PART = 0.1; /* part of following_rad by which a joint has to come nearer
+                                          to count as coming nearer */
 
 bool position_follows(position_following *following, const position_config *config,
                       double apart_rad, double velocity_rad_s, int64_t now_ns)

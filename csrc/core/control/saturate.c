@@ -1,8 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
  * saturate.c: one factor for all wheels, so that a wheel at its limit slows the robot and does not
- * bend its path.
- */
+ * bend its path. */
 #include "wheel.h"
 
 double saturate_factor(const double *want_rad_s, const joint_config *joint, uint32_t count)

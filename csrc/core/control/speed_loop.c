@@ -3,12 +3,11 @@
  * speed_loop.c: the torque or duty that brings a wheel to a speed: feed-forward and PID.
  *
  * Feed-forward is the steady state of a motor with friction and inertia (Lynch & Park, Modern
- * Robotics, 2017, 8.9.1). The derivative is of the measure, through a filter of the first order, so
- * that no set-point makes it kick; the integral is held where it would only drive the output
- * further beyond a limit: conditional integration (Åström & Hägglund, Advanced PID Control, 2006,
- * 3.3 and 3.5). A loop that begins, or whose gains change, goes on from the output of before: the
- * integral takes the difference (the same, 3.6).
- */
+ * Robotics, 2017, 8.9.1). The derivative is that of the measured speed, through a first-order
+ * filter, so that no set-point makes it jump. The integral is held where it would only drive the
+ * output further beyond a limit: conditional integration (Åström & Hägglund, Advanced PID Control,
+ * 2006, 3.3 and 3.5). A loop that begins, or whose gains change, continues from the previous
+ * output: the integral takes the difference (the same, 3.6). */
 #include "rt.h"
 
 #include <float.h>
@@ -27,14 +26,14 @@ static double feed_forward(const speed_loop_state *state, const speed_loop_gains
                            double want_rad_s, double dt_s)
 {
     if (want_rad_s == 0.0) {
-        return 0.0; /* also if it was set to zero at once: then the drive does the stopping */
+        return 0.0; /* also if it was set to zero at once: then the drive brakes by itself */
     }
     double rises_rad_s2 = state->begun != 0 ? (want_rad_s - state->want_rad_s) / dt_s : 0.0;
     return copysign(gains->static_u, want_rad_s) + gains->viscous_u_s_per_rad * want_rad_s +
            gains->acceleration_u_s2_per_rad * rises_rad_s2;
 }
 
-/* No output; `begun`: the next step is an ordinary one. */
+/* Reset the loop to no output. `begun`: the next step is an ordinary one. */
 static double rest(speed_loop_state *state, double measured_rad_s, uint32_t begun)
 {
     *state = (speed_loop_state){
@@ -42,8 +41,8 @@ static double rest(speed_loop_state *state, double measured_rad_s, uint32_t begu
     return 0.0;
 }
 
-/* At rest a duty is zero, so it does not warm a motor that stands. A torque may have to hold a
- * robot on a slope; it goes to zero where friction alone holds it. */
+/* Whether the output goes to zero at rest. A duty does, so it does not warm a motor that stands. A
+ * torque may have to hold a robot on a slope; it does where friction alone holds the robot. */
 static bool lets_go(const speed_loop_state *state, const speed_loop_config *config,
                     const speed_loop_gains *gains, const speed_loop_input *input)
 {

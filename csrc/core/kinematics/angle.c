@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * angle.c: angles, only by IEEE 754's exactly rounded operations.
+ * angle.c: angles, computed only by exactly rounded operations of IEEE 754.
  */
 #include "core.h"
 
@@ -36,9 +36,9 @@ static double cosine_near_zero(double x)
     return 1.0 + sum * q;
 }
 
-/* Exact to 1e-16 after a rough start: of the angle that is left, whose tangent is t, the series of
- * the arc tangent. The start is within 0.004 rad (Rajan et al., Efficient Approximations for the
- * Arctangent Function, 2006), and the first term left out below 2e-18. */
+/* Computes the angle within 1e-16, from a rough start: the rest, whose tangent is t, is the series
+ * of the arc tangent. The start is within 0.004 rad (Rajan et al., Efficient Approximations for the
+ * Arctangent Function, 2006), and the first term left out is below 2e-18. */
 double angle_of(double y, double x)
 {
     const double quarter = 0.5 * HALF_PI;

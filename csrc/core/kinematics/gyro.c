@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * gyro.c: from the yaw rate of a sensor to the turn of the base between two moments. Time is an
+ * gyro.c: the turn of the base between two moments, from the yaw rate of a sensor. Time is an
  * argument.
  *
  * Heading from the gyro, distance from the wheels: Borenstein & Feng, Gyrodometry: a new method for
@@ -15,20 +15,22 @@
 #include "rt.h"
 
 static const double RATE_MAX_RAD_S = 100.0; /* no base turns so fast */
-static const int64_t SETTLE_NS = 500000000; /* the wheels rest, the chassis may swing on */
+static const int64_t SETTLE_NS = 500000000; /* time for which the chassis may swing after the wheels
+                                               rest */
 static const int64_t WINDOW_NS = 1000000000;
 static const uint64_t WINDOW_SAMPLES_MIN = 20;
-/* A zero that wanders by 1e-3 rad/s in a quarter of an hour, as those of cheap sensors do when
- * they warm up. */
+/* Drift of the zero: by 1e-3 rad/s in a quarter of an hour, like that of cheap sensors when they
+ * warm up. */
 static const double BIAS_WANDER_RAD2_S3 = 1e-9;
-/* A mean farther from the known zero than this is a slow turn: the robot is moved. */
+/* Greatest change of a known zero. A greater one is a slow turn: someone moves the robot. */
 static const double BIAS_STEP_MAX_RAD_S = 0.02;
-/* of a base that stands, or this many deviations of the noise */
+/* limit for a base that stands: this rate, or this many deviations of the noise */
 static const double STILL_RAD_S = 0.01;
 static const double STILL_DEVIATIONS = 5.0;
 static const double OPPOSED_MAX_RAD = 1.0; /* wheels and gyro may turn against each other by this:
                                               more is not slip */
-static const double OPPOSED_PART = 0.25;   /* of the wheels' turn; a smaller gyro turn is noise */
+static const double OPPOSED_PART = 0.25;   /* part of the wheels' turn; a smaller turn of the gyro
+                                              is noise */
 
 void gyro_init(gyro_state *state)
 {
@@ -47,7 +49,7 @@ static void begin_window(gyro_state *state, int64_t now_ns)
     state->window_samples = 0;
 }
 
-/* A part of the turn is unknown. */
+/* Begin a new integral: a part of the turn is unknown. */
 static void break_integral(gyro_state *state)
 {
     state->epoch++;
@@ -65,10 +67,10 @@ void gyro_lose(gyro_state *state)
 
 static bool is_number(const imu_sample *sample)
 {
-    return fabs(sample->angular_rad_s[2]) <= RATE_MAX_RAD_S; /* NaN is not */
+    return fabs(sample->angular_rad_s[2]) <= RATE_MAX_RAD_S; /* NaN is not a valid rate */
 }
 
-/* The mean of a still second is a measure of the offset. */
+/* Estimate the offset: the mean over a second at rest measures it. */
 static void estimate(gyro_state *state, const gyro_config *config, int64_t now_ns)
 {
     double samples = (double)state->window_samples, mean_rad_s = state->window_mean_rad_s;
@@ -93,8 +95,8 @@ static void estimate(gyro_state *state, const gyro_config *config, int64_t now_n
     state->bias_stamp_ns = now_ns;
 }
 
-/* Welford, Note on a method for calculating corrected sums of squares and products,
- * Technometrics 4(3), 1962. */
+/* Add a sample to mean and variance: Welford, Note on a method for calculating corrected sums of
+ * squares and products, Technometrics 4(3), 1962. */
 static void gather(gyro_state *state, double raw_rad_s)
 {
     double distance_rad_s = raw_rad_s - state->window_mean_rad_s;
@@ -133,7 +135,7 @@ static void integrate(gyro_state *state, const gyro_config *config, const imu_sa
         break_integral(state);
     }
     if (state->stamp_ns != 0) {
-        state->yaw_rad += 0.5 * (state->rate_rad_s + rate_rad_s) * elapsed_s; /* the trapezoid */
+        state->yaw_rad += 0.5 * (state->rate_rad_s + rate_rad_s) * elapsed_s; /* trapezoidal rule */
     }
     state->rate_rad_s = rate_rad_s;
     state->stamp_ns = sample->stamp_ns;
@@ -166,7 +168,7 @@ void gyro_take(gyro_state *state, const gyro_config *config, const imu_sample *s
     }
 }
 
-/* A sample that is near enough to a moment to give the rate there. */
+/* Whether the newest sample is near enough to a moment to give the rate there. */
 static bool near(const gyro_state *state, const gyro_config *config, int64_t moment_ns)
 {
     return state->stamp_ns != 0 && fabs(seconds(moment_ns, state->stamp_ns)) <= config->timeout_s;

@@ -1,12 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * independent.c: joints without a base, each by its own limits: a pan-tilt head, a lift, a
+ * independent.c: joints without a base, each with its own limits: a pan-tilt head, a lift, a
  * conveyor.
  *
  * A joint that takes velocities follows the ramp of limit.c. One that takes positions goes to its
  * target by position.c, within its range. A target belongs to the lease that gave it: it ends with
- * that lease, and with every stop.
- */
+ * that lease, and with every stop. */
 #include "independent.h"
 #include "steer.h"
 
@@ -111,7 +110,8 @@ static uint32_t step_velocity(joints_state *joints, const joint_config *joint,
     return reasons;
 }
 
-/* Does it come to rest before its goal and the end of its range, braking with this? */
+/* Whether the joint comes to rest before its goal and the end of its range when it brakes with
+ * this. */
 static bool stops_in_time(const position_profile *profile, const position_config *own,
                           double goal_rad, double braking_rad_s2, double dt_s)
 {
@@ -129,9 +129,9 @@ static bool stops_in_time(const position_profile *profile, const position_config
     return needs_rad <= end_rad;
 }
 
-/* The limits in force. With a lowered acceleration a joint that already brakes would pass its goal,
- * or the end of its range: it brakes on with its old one, gets no faster, and takes the new one as
- * soon as that is enough. */
+/* Apply the limits in force. With a lowered acceleration, a joint that already brakes would pass
+ * its goal, or the end of its range: it continues to brake with its old one, gets no faster, and
+ * takes the new one as soon as that is enough. */
 static void take_limits(joints_state *joints, const position_profile *profile, position_config *own,
                         const axis_limits *limits, double goal_rad, double dt_s, uint32_t j)
 {
@@ -173,7 +173,7 @@ static uint32_t step_position(joints_state *joints, steer_state *steer, const co
         position_step(profile, &own, sure ? goal_rad : (double)NAN, input->dt_s);
     }
     if (from_rad >= own.position_min_rad && from_rad <= own.position_max_rad) {
-        /* rounded, the last step could pass the end */
+        /* if rounded, the last step could pass the end */
         profile->position_rad =
             within(profile->position_rad, own.position_min_rad, own.position_max_rad);
     }

@@ -2,16 +2,15 @@
  *
  * kinematics.c: wheel speeds of a twist, and the twist of wheel speeds, for every base.
  *
- * More wheels than the twist has axes are a system of equations that is over-determined: the twist
- * is that of least squares, (A' A)^-1 A' (Golub & Van Loan, Matrix Computations, 5.3), and what
- * remains is slip.
- */
+ * If there are more wheels than axes of the twist, the system of equations is over-determined: the
+ * twist is that of least squares, (A' A)^-1 A' (Golub & Van Loan, Matrix Computations, 5.3), and
+ * the rest is slip. */
 #include "core.h"
 #include "wheel.h"
 
-/* The determinant of A' A, as a part of the product of its diagonal (Hadamard's inequality: at most
- * 1). Below this the system is ill-conditioned: an error of a wheel would become a thousand times
- * as large. */
+/* Least determinant of A' A, as a part of the product of its diagonal (Hadamard's inequality: at
+ * most 1). Below this the system is ill-conditioned: the error of a wheel would become a thousand
+ * times as large. */
 static const double DETERMINED_LEAST = 1e-6;
 
 void kinematics_wheels(const core_config *config, const double *twist_u_s, double *wheel_rad_s)
@@ -21,7 +20,7 @@ void kinematics_wheels(const core_config *config, const double *twist_u_s, doubl
     }
 }
 
-/* With modules it does when all of them are steered. */
+/* A base with modules can move sideways if all of them are steered. */
 bool kinematics_strafes(const core_config *config)
 {
     bool strafes = config->module_count > 0;
@@ -37,7 +36,8 @@ bool kinematics_strafes(const core_config *config)
     return strafes;
 }
 
-/* The symmetric matrix A' A of x, turn, y; a base that does not strafe has a one in place of y. */
+/* Begin the symmetric matrix A' A of x, turn, y; if the base does not strafe, it has a one in place
+ * of y. */
 static void normal_begin(double m[AXES][AXES], bool strafes)
 {
     for (int i = 0; i < AXES * AXES; i++) {
@@ -54,15 +54,15 @@ static void normal_add(double m[AXES][AXES], const wheel_row *row)
     }
 }
 
-/* The minor of the element in row i and column k, with its sign: indices go round, so the sign
- * is always plus. */
+/* Return the minor of the element in row i and column k, with its sign: the indices are cyclic, so
+ * the sign is always plus. */
 static double cofactor(double m[AXES][AXES], int i, int k)
 {
     int i1 = (i + 1) % AXES, i2 = (i + 2) % AXES, k1 = (k + 1) % AXES, k2 = (k + 2) % AXES;
     return m[i1][k1] * m[i2][k2] - m[i1][k2] * m[i2][k1];
 }
 
-/* 0: not determined */
+/* Return the determinant; 0: the motion is not determined. */
 static double normal_determinant(double m[AXES][AXES])
 {
     double determinant = 0.0;
@@ -72,7 +72,7 @@ static double normal_determinant(double m[AXES][AXES])
     return determinant > DETERMINED_LEAST * m[0][0] * m[1][1] * m[2][2] ? determinant : 0.0;
 }
 
-/* Column j of (A' A)^-1 A'. */
+/* Compute column j of (A' A)^-1 A'. */
 static void invert_row(double m[AXES][AXES], double determinant, const wheel_row *row,
                        twist_inverse *out, uint32_t j)
 {
@@ -113,17 +113,17 @@ void kinematics_invert(const core_config *config, uint32_t joints, twist_inverse
 
 /* ------------------------------------------------------------------------- with modules */
 typedef struct {
-    wheel_row rolls;  /* the rim's speed */
-    wheel_row slides; /* across it */
+    wheel_row rolls;  /* row for the rim's speed */
+    wheel_row slides; /* row for the speed across it */
 } module_rows;
 
-/* Its wheel's angle is known, */
+/* Whether the wheel's angle is known. */
 static bool points(const wheel_module *module, uint32_t joints)
 {
     return module->steering == 0 || joints >> (module->steering - 1) & 1U;
 }
 
-/* and its wheel's speed, too. */
+/* Whether the wheel's angle and speed are known. */
 static bool is_driven(const wheel_module *module, uint32_t joints)
 {
     return points(module, joints) && module->traction != 0 && joints >> (module->traction - 1) & 1U;
@@ -141,7 +141,7 @@ void kinematics_modules(const core_config *config, const double *angle_rad, uint
                         twist_inverse *out)
 {
     double m[AXES][AXES];
-    /* the set is never the same as before: the angles change */
+    /* never the same as before, because the angles change */
     *out = (twist_inverse){.strafes = kinematics_strafes(config), .shared = 1.0};
     normal_begin(m, out->strafes != 0);
     for (uint32_t i = 0; i < config->module_count; i++) {

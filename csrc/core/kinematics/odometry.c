@@ -1,20 +1,19 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * odometry.c: from counters to a pose with its uncertainty.
+ * odometry.c: the pose and its uncertainty, from counters.
  *
- * Each joint gathers its travel from its own samples; when every joint with feedback has brought
- * one, the gathered travel is integrated as one exact arc: the base's twist is taken for constant
- * meanwhile. Where a counter does not show how far a wheel has gone (it jumped, its origin moved,
- * there is none), the drive's measured velocity stands in, and `degraded` is set.
- */
+ * Each joint sums its travel from its own samples. When every joint with feedback has brought one,
+ * the sum is integrated as one exact arc: the base's twist counts as constant meanwhile. If a
+ * counter does not show how far a wheel has gone (it jumped, its origin moved, or there is no
+ * counter), the drive's measured velocity replaces it, and `degraded` is set. */
 #include "travel.h"
 
 #include <math.h>
 
 typedef struct {
-    double rim_m[JOINTS_MAX]; /* of those that brought a travel */
-    uint32_t joints;          /* bit n: joint n did */
-    int64_t stamp_ns;         /* newest */
+    double rim_m[JOINTS_MAX]; /* travel of the joints that brought one */
+    uint32_t joints;          /* bit n: joint n did so */
+    int64_t stamp_ns;         /* stamp of the newest sample */
     uint32_t degraded;
 } arc;
 
@@ -52,7 +51,7 @@ void odometry_init(odometry_state *state, const core_config *config)
         state->joint[j].constant = constants_of(&config->joint[j], config->feedback_timeout_s);
         if (config->joint[j].position.used &&
             config->joint[j].position.reference == REFERENCE_ESTIMATED) {
-            state->angle_rad[j] = 0.0; /* where its profile begins */
+            state->angle_rad[j] = 0.0; /* angle at which its profile begins */
         }
     }
     pose_to_origin(state, config);
@@ -74,8 +73,8 @@ void odometry_reset(odometry_state *state, const core_config *config)
     }
 }
 
-/* Empties the joints into one arc. A joint that was left out seeds again: the base has moved
- * without it. */
+/* Collect the travel of the joints into one arc. A joint that was left out begins anew: the base
+ * has moved without it. */
 static void collect(odometry_state *state, const core_config *config, const uint32_t *stale,
                     arc *found)
 {
@@ -90,7 +89,7 @@ static void collect(odometry_state *state, const core_config *config, const uint
                 degraded = 1;
             } else {
                 modules_take_angle(state, config, j);
-                /* only part of the distance is known: dropped */
+                /* only part of the distance is known, so it is dropped */
                 degraded |= joint->pending_rad != 0.0;
                 newest_ns = joint->stamp_ns > newest_ns ? joint->stamp_ns : newest_ns;
             }
@@ -109,7 +108,7 @@ static void collect(odometry_state *state, const core_config *config, const uint
     found->degraded = degraded | ((seen & ESTIMATE) != 0);
 }
 
-/* sin(h) / h, without the cancellation near zero; the first term left out is below 3e-18 */
+/* Return sin(h) / h, without cancellation near zero; the first term left out is below 3e-18. */
 static double sine_over(double half_rad)
 {
     double q = half_rad * half_rad;
@@ -120,8 +119,8 @@ static double sine_over(double half_rad)
     return angle_direction(angle_wrap(half_rad)).sine / half_rad;
 }
 
-/* A change of joints is rare: one has gone silent, or is back. With modules the inverse changes
- * each time. */
+/* Compute the inverse for another set of joints, which is rare: one has become silent, or is back.
+ * With modules the inverse changes each time. */
 __attribute__((noinline)) static void look_anew(odometry_state *state, const core_config *config,
                                                 uint32_t joints)
 {
@@ -133,7 +132,7 @@ __attribute__((noinline)) static void look_anew(odometry_state *state, const cor
     }
 }
 
-/* Do these joints determine the motion? */
+/* Whether these joints determine the motion. */
 static inline bool determined(odometry_state *state, const core_config *config, uint32_t joints)
 {
     if (joints != state->used.joints) {
@@ -159,7 +158,7 @@ static motion by_wheels(odometry_state *state, const arc *found, uint32_t joint_
     return moved;
 }
 
-/* A look at the motion before this arc, which spread.rim_m already contains. */
+/* Look at the motion before this arc, which spread.rim_m already contains. */
 static void look_before(odometry_state *state, const core_config *config, const arc *found)
 {
     for (uint32_t j = 0; j < config->joint_count; j++) {
@@ -171,7 +170,7 @@ static void look_before(odometry_state *state, const core_config *config, const 
     }
 }
 
-/* The distance is the wheels', the turn the gyro's: their errors are independent. */
+/* Take the distance from the wheels and the turn from the gyro: their errors are independent. */
 static void turn_by_gyro(odometry_state *state, const core_config *config, const arc *found,
                          motion *moved)
 {
@@ -216,8 +215,8 @@ static void measure_twist(odometry_state *state, const core_config *config, cons
     }
 }
 
-/* The exponential of a constant twist in SE(2) (Lynch & Park, Modern Robotics, 2017, 13.4): the
- * length times sin(h) / h, in the heading of half the turn h. */
+/* Apply the exponential of a constant twist in SE(2) (Lynch & Park, Modern Robotics, 2017, 13.4):
+ * the length times sin(h) / h, in the heading of half the turn h. */
 static void follow(odometry_state *state, const motion *moved)
 {
     double chord = sine_over(0.5 * moved->turn_rad);
@@ -245,7 +244,7 @@ static void integrate(odometry_state *state, const core_config *config, const ui
         modules_end_arc(state);
     }
     if (!known) {
-        /* some have only just been seeded: the others alone make no arc */
+        /* some have only just begun: the others alone make no arc */
         state->degraded |= found.joints != 0;
         state->spread.stamp_ns =
             state->spread.stamp_ns == 0 ? state->stamp_ns : state->spread.stamp_ns;

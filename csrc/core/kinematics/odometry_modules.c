@@ -1,14 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * odometry_modules.c: the odometry of a base with modules, beyond that of others: its
- * wheels' angles, and an inverse that changes with them.
- */
+ * odometry_modules.c: the odometry of a base with modules, beside that of others: its wheels'
+ * angles, and an inverse that changes with them. */
 #include "core.h"
 
 #include <math.h>
 #include <string.h>
 
-/* Smoothed as spread.c smooths the slip of other bases. */
+/* Time constant of the slip, as in spread.c for other bases. */
 static const double SLIP_TIME_S = 0.2;
 
 void modules_take_angle(odometry_state *state, const core_config *config, uint32_t j)

@@ -1,19 +1,18 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * spread.c: how uncertain the pose is. The covariance grows with the distance, with the turn, and
- * with slip: the rims' contradictions, and unknown motion.
- */
+ * spread.c: the uncertainty of the pose. The covariance grows with the distance, with the turn, and
+ * with slip: the contradictions between rims, and unknown motion. */
 #include "core.h"
 
 #include <math.h>
 
-/* A rim's speed that no motion of the base explains is smoothed over this time, so that a counter's
- * steps do not count. As an error of the travel it lasts as long: the spectral density of a
+/* Time constant for a rim's speed that no motion of the base explains, so that the steps of a
+ * counter have no effect. As an error of the travel it lasts as long: the spectral density of a
  * first-order Gauss-Markov process is 2 sigma^2 tau (Gelb, Applied Optimal Estimation, 1974,
  * 2.2). */
 static const double SLIP_TIME_S = 0.2;
 
-/* Errors of what the base did: variances and covariances, by the axes of its frame. */
+/* Errors of the base's motion: variances and covariances, by the axes of its frame. */
 typedef struct {
     double linear2;
     double linear_angular;
@@ -23,7 +22,7 @@ typedef struct {
     double lateral_angular;
 } errors;
 
-/* b if a is NaN: the floor holds */
+/* Return the larger one; b if a is NaN: the floor holds. */
 static double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -37,7 +36,7 @@ void spread_floor(odometry_state *state, const core_config *config)
     p[5] = larger(p[5], config->heading_variance_floor_rad2);
 }
 
-/* The rims' contradictions, of a base with more wheels than axes. */
+/* Take the contradictions between the rims, for a base with more wheels than axes. */
 static void take_slip(spread_state *spread, const core_config *config, const twist_inverse *used,
                       const double *moved_u, double elapsed_s)
 {
@@ -58,8 +57,8 @@ static void take_slip(spread_state *spread, const core_config *config, const twi
     spread->slip_m_s = sqrt(sum / count);
 }
 
-/* The errors of the wheels' travel, carried into the motion. Wheels that do the same share one
- * error: they scrub together. */
+/* Return the errors of the wheels' travel as errors of the motion. Wheels with the same row share
+ * one error: they scrub together. */
 static errors errors_of(const spread_state *spread, const core_config *config,
                         const twist_inverse *used, double elapsed_s)
 {
@@ -81,9 +80,9 @@ static errors errors_of(const spread_state *spread, const core_config *config,
     return found;
 }
 
-/* Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4: the errors of the motion are carried into
- * the pose by the Jacobians of the motion; the scrub of turning is added to the heading. The
- * distance has the direction in the middle of the arc, and so half of the turn's error. */
+/* Add the errors of the motion to the pose by the Jacobians of the motion, and the scrub of turning
+ * to the heading (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4). The distance has the
+ * direction in the middle of the arc, and so half of the turn's error. */
 static void grow_pose(odometry_state *state, const errors *of, double scrub_rad2)
 {
     const spread_state *spread = &state->spread;
@@ -120,12 +119,12 @@ static void take_rates(spread_state *spread, const errors *of, double scrub_rad2
     spread->lateral_angular_m_rad_s = of->lateral_angular * per_s;
 }
 
-/* A wheel with an estimated angle may be off by this, for about a metre. */
+/* Error of a wheel's estimated angle, which lasts for about a metre. */
 static const double ESTIMATED_RAD = 0.03;
 static const double ESTIMATED_FOR_M = 1.0;
 
-/* It turns the base by distance times angle over its lever; summed over such metres as a random
- * walk. */
+/* Return the turn of the base by this error: distance times angle over the lever, summed over such
+ * metres as a random walk. */
 static double estimated_rad2(const core_config *config, double distance_m)
 {
     double worst_rad2 = 0.0;
@@ -177,7 +176,7 @@ void spread_look(odometry_state *state, const core_config *config, int64_t now_n
     }
 }
 
-/* The inverse of all joints. Steered wheels count at their newest angles. */
+/* Compute the inverse of all joints. Steered wheels count at their newest angles. */
 static void invert_all(const odometry_state *state, const core_config *config, twist_inverse *all)
 {
     uint32_t joints = (1U << config->joint_count) - 1U;
@@ -197,7 +196,7 @@ void odometry_drift(odometry_state *state, const core_config *config,
 {
     twist_inverse all;
     invert_all(state, config, &all);
-    /* as if all had gone as far as the fastest, with all errors added up */
+    /* as if all wheels had gone as far as the fastest, with all errors added up */
     double farthest_m = 0.0, far_u[AXES] = {0.0};
     for (uint32_t j = 0; j < config->joint_count; j++) {
         farthest_m = larger(farthest_m, fabs(setpoint[j].velocity_rad_s) *
@@ -212,7 +211,7 @@ void odometry_drift(odometry_state *state, const core_config *config,
     p[0] += distance_m * (2.0 * sqrt(p[0]) + distance_m);
     p[3] += distance_m * (2.0 * sqrt(p[3]) + distance_m);
     p[5] += turn_rad * (2.0 * sqrt(p[5]) + turn_rad);
-    /* only the last measured twist is left: as uncertain as it is large */
+    /* only the last measured twist is left, as uncertain as it is large */
     double linear = state->linear_m_s * state->linear_m_s,
            lateral = state->lateral_m_s * state->lateral_m_s,
            angular = state->angular_rad_s * state->angular_rad_s;

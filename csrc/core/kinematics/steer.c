@@ -1,34 +1,35 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * steer.c: wheels that are steered. The twist is what moves the base; its wheels follow with their
- * angles, and if they cannot follow at once, the twist waits.
+ * steer.c: steered wheels. The twist moves the base, and the angles of its wheels follow; if they
+ * cannot follow at once, the twist waits.
  *
  * The ramp of limit.c runs straight from twist to twist, and on that line each wheel's direction
  * changes: by v x dv / |v|^2 for the speed v of the floor under the wheel. Three rules keep the
- * wheels where they have to point:
+ * wheels in their directions:
  *
- * Where a wheel would have to turn around on that line, the base comes to rest first: from there
- * the wheel may roll backward. The ramp is paced so that no wheel's direction changes faster than
- * its joint follows. A wheel that does not point there slows the base down, to rest where it is far
- * off.
- */
+ * If a wheel would have to turn around on that line, the base comes to rest first: from there the
+ * wheel may roll backward. The ramp is paced so that no wheel's direction changes faster than its
+ * joint follows. A wheel that does not yet point in its direction slows the base down, to rest if
+ * it is far off. */
 #include "steer.h"
 
 #include <math.h>
 
 static const double HALF_TURN_RAD = 3.14159265358979323846;
-/* A wheel that is off by less drives at full speed, by more not at all; between them the speed
- * falls in proportion. At FULL a wheel slides sideways by 5 % of the distance that it rolls. */
+/* Angle errors of a wheel: below FULL the base drives at full speed, above NOT it rests; between
+ * them the speed falls in proportion. At FULL a wheel slides sideways by 5 % of the distance that
+ * it rolls. */
 static const double ALIGNED_FULL_RAD = 0.05;
 static const double ALIGNED_NOT_RAD = 0.25;
-/* A profile that follows a direction lags by its braking distance: v^2 / 2 a. */
+/* Allowed lag of a profile behind a direction: its braking distance, v^2 / 2 a. */
 static const double LAG_RAD = 0.04;
 static const double PACE_PART = 0.8; /* part of a joint's speed: the rest is for catching up */
-/* A wheel over floor that is slower than this part of the fastest has no direction. */
+/* Part of the fastest floor speed below which a wheel has no direction. */
 static const double STANDS_PART = 1e-6;
-/* An angle that rounding puts beyond the range is at its end. */
+/* Rounding beyond the end of a range that counts as at the end. */
 static const double ROUNDING_RAD = 1e-6;
-/* For an endless range on a base that nothing drives on the spot: its wheel at 80 degrees. */
+/* Curvature for an endless range on a base that nothing drives on the spot: its wheel at 80
+ * degrees. */
 static const double CURVATURE_TAN = 5.67;
 
 typedef struct {
@@ -68,9 +69,9 @@ static double fastest(const core_config *config, const double *twist_u_s)
 }
 
 /* -------------------------------------------------------------------------------- reach */
-/* The curvature of a base whose fixed wheels are on y, when a wheel points to angle_rad: the line
- * across the wheel meets y at its centre. For x > 0; endless where the wheel has turned to its
- * motion on the spot, or beyond. */
+/* Return the curvature of a base whose fixed wheels are on y, when a wheel points to angle_rad: the
+ * line across the wheel meets y at the centre. For x > 0; endless if the wheel points at least as
+ * far as for a turn on the spot. */
 static double curvature_at(double x_m, double y_m, double angle_rad)
 {
     bool left = angle_rad > 0.0;
@@ -85,7 +86,7 @@ static double curvature_at(double x_m, double y_m, double angle_rad)
     return d.sine / (x_m * d.cosine + y_m * d.sine);
 }
 
-/* Whether a driven wheel turns the base when the others stand across. */
+/* Whether a driven wheel turns the base while the others stand across. */
 static bool drives_on_spot(const core_config *config)
 {
     bool rolls = false;
@@ -167,7 +168,7 @@ uint32_t steer_within_reach(const steer_state *steer, const base_limits *limits,
         reasons |= kept_rad_s != angular_rad_s ? (uint32_t)REASON_CURVATURE : 0;
         angular_rad_s = kept_rad_s;
     }
-    /* both by one factor: the curve stays */
+    /* both by one factor, so that the curve stays */
     double factor = 1.0;
     if (fabs(linear_m_s) > limits->linear.velocity_u_s) {
         factor = limits->linear.velocity_u_s / fabs(linear_m_s);
@@ -184,8 +185,8 @@ uint32_t steer_within_reach(const steer_state *steer, const base_limits *limits,
 }
 
 /* --------------------------------------------------------------------------- directions */
-/* The angle of a module's joint for that motion of the floor, forward or backward, the nearest to
- * near_rad within its range. false: out of reach; the nearest end. */
+/* Find the angle of a module's joint for that motion of the floor, forward or backward, the nearest
+ * to near_rad within its range. false: out of reach, and found_rad is the nearest end. */
 static bool aim_of(const core_config *config, const wheel_module *module, floor_speed v,
                    double near_rad, double *found_rad)
 {
@@ -203,7 +204,7 @@ static bool aim_of(const core_config *config, const wheel_module *module, floor_
     bool reached = aim_rad <= range->position_max_rad + ROUNDING_RAD;
     if (!reached &&
         aim_rad - range->position_max_rad > range->position_min_rad + HALF_TURN_RAD - aim_rad) {
-        aim_rad -= HALF_TURN_RAD; /* beyond both ends, nearer to the least */
+        aim_rad -= HALF_TURN_RAD; /* beyond both ends, and nearer to the lower one */
     }
     *found_rad = fmin(fmax(aim_rad, range->position_min_rad), range->position_max_rad);
     return reached;
@@ -257,7 +258,7 @@ uint32_t steer_unknown(const core_config *config, const joint_feedback *feedback
     return unknown;
 }
 
-/* Would a wheel have to turn around on the straight line to that goal? */
+/* Whether a wheel would have to turn around on the straight line to that goal. */
 static bool turns_around(const core_config *config, const double *from_u_s, const double *goal_u_s)
 {
     bool strafes = kinematics_strafes(config);
@@ -275,8 +276,8 @@ static bool turns_around(const core_config *config, const double *from_u_s, cons
     return false;
 }
 
-/* The largest angle between a wheel and the direction in which that twist rolls it; a wheel that
- * stands does not count. */
+/* Return the largest angle between a wheel and the direction in which that twist rolls it. Wheels
+ * that stand are left out. */
 static double misaligned(const steer_state *steer, const core_config *config,
                          const double *twist_u_s, const double *angle_rad)
 {
@@ -304,7 +305,7 @@ static double share_of(double misaligned_rad)
     return share > 0.0 ? fmin(share, 1.0) : 0.0;
 }
 
-/* The share of what is left that may be covered in a second, so that no wheel's direction
+/* Return the share of the remaining change that a second may cover, so that no wheel's direction
  * changes faster than it can. */
 static double pace_of(const steer_state *steer, const core_config *config, const double *from_u_s,
                       const double *goal_u_s)

@@ -1,8 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * travel.h: how far each wheel has gone, from one sample of its joint to the next. A part of
- * odometry.c.
- */
+ * travel.h: the travel of each wheel from one sample of its joint to the next. A part of
+ * odometry.c. */
 #ifndef MOTORD_TRAVEL_H
 #define MOTORD_TRAVEL_H
 
@@ -10,24 +9,25 @@
 
 #include <math.h>
 
-/* A wheel may turn faster than its configured limit (downhill, pushed) before its counter counts as
- * wrong. */
+/* Factor of its configured limit that a wheel may reach (downhill, pushed) before its counter
+ * counts as wrong. */
 static const double JUMP_MARGIN = 1.5;
 static const double JUMP_SLACK_COUNTS = 4.0;
-/* The part by which a measured velocity may be off: it is filtered, rounded to rpm, and late. */
+/* Relative error of a measured velocity: it is filtered, rounded to rpm, and late. */
 static const double VELOCITY_ERROR = 0.1;
 
-/* Bits of joint_odometry.fresh: what came since the last integration. */
+/* Bits of joint_odometry.fresh: the events since the last integration. */
 enum { NOTHING = 0, TRAVEL = 1 << 0, ESTIMATE = 1 << 1, SEED = 1 << 2 };
 
-/* unused: bits of the word that are not the counter's, 0..63 */
+/* Return the difference with sign. unused: number of bits of the word that are not the counter's,
+ * 0..63. */
 static inline int64_t shortest_difference(uint64_t now, uint64_t before, uint32_t unused)
 {
     /* the counter's sign bit becomes the word's; the shift back extends it */
     return (int64_t)((now - before) << unused) >> unused;
 }
 
-/* b if a is NaN: the floor holds */
+/* Return the larger one; b if a is NaN: the floor holds. */
 static inline double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -57,8 +57,8 @@ static joint_constants constants_of(const joint_config *joint, double timeout_s)
     return found;
 }
 
-/* How far the wheel went by the drive's own measure, at both ends where it measured at both, or
- * without one by `otherwise`. After a silence the present speed does not stand for all of it. */
+/* Return the travel by the drive's own measured velocity, at both ends if it was measured at both;
+ * without one by otherwise_rad_s. After a silence the present speed is not valid for all of it. */
 static double travel_by_velocity(double before_rad_s, double now_rad_s, double elapsed_s,
                                  double timeout_s, double otherwise_rad_s)
 {
@@ -67,9 +67,9 @@ static double travel_by_velocity(double before_rad_s, double now_rad_s, double e
            (elapsed_s < timeout_s ? elapsed_s : timeout_s);
 }
 
-/* The travel among those that the counter allows, whole turns apart, chosen by the measured
- * velocity. Only if the next one is three times as far off as the velocity's error, and after no
- * silence; else NaN. */
+/* Return the travel that fits the measured velocity, among those that the counter allows, whole
+ * turns apart; NaN if it is not certain: the next one must be three times as far off as the
+ * velocity's error, without a silence before. */
 static double travel_by_turns(const joint_odometry *joint, const joint_feedback *sample,
                               double travel_rad, double elapsed_s, double timeout_s)
 {
@@ -91,7 +91,8 @@ static inline void gather(joint_odometry *joint, uint32_t kind, double travel_ra
     joint->fresh |= kind;
 }
 
-/* Joints without a counter: the drive's velocity, or the set-point where it measures none. */
+/* Take the velocity of a joint without a counter: the drive's, or the set-point if nothing is
+ * measured. */
 static void take_velocity(joint_odometry *joint, const joint_feedback *sample,
                           double setpoint_rad_s, double elapsed_s, double timeout_s)
 {
@@ -119,7 +120,7 @@ static void believe(joint_odometry *joint, uint64_t count)
     joint->since_rad = joint->credited_rad = 0.0;
 }
 
-/* From now on travel counts from this sample. */
+/* Count travel from this sample on. */
 static void begin(joint_odometry *joint, const joint_feedback *sample)
 {
     joint->epoch = sample->epoch;
@@ -127,9 +128,9 @@ static void begin(joint_odometry *joint, const joint_feedback *sample)
     believe(joint, sample->count);
 }
 
-/* A refused sample moves the pose by an estimate only: the next one is accepted if it agrees with
- * the last accepted one, or with the refused one. known: it gives a travel, though an impossible
- * one. */
+/* Refuse a sample: it moves the pose by an estimate only. The next one is accepted if it agrees
+ * with the last accepted one, or with the refused one. known: the sample gives a travel, though an
+ * impossible one. */
 static void refuse(joint_odometry *joint, const joint_feedback *sample, bool known,
                    double elapsed_s, double timeout_s)
 {
@@ -163,7 +164,8 @@ static void refuse(joint_odometry *joint, const joint_feedback *sample, bool kno
     joint->credited_rad += estimate_rad;
 }
 
-/* Travel within reach_rad, of which sure_rad is possible since the last accepted sample. */
+/* Accept a travel within reach_rad, of which sure_rad is possible since the last accepted
+ * sample. */
 static inline void go(joint_odometry *joint, const joint_feedback *sample, double travel_rad,
                       double sure_rad, double reach_rad)
 {
@@ -179,9 +181,9 @@ static inline void go(joint_odometry *joint, const joint_feedback *sample, doubl
         larger(0.0, smaller(reach_rad - distance_rad, constant->counter_unused_max_rad));
 }
 
-/* A counter that is renewed more slowly than it is read catches up in steps: the unused reach of a
- * sample passes to the next one, for as long as feedback counts, and up to a quarter of a narrow
- * counter. A sample beyond that is refused. */
+/* Take a count. A counter that is updated more slowly than it is read catches up in steps: the
+ * unused reach of a sample passes to the next one, as long as feedback is valid, and up to a
+ * quarter of a narrow counter. A sample beyond that is refused. */
 static void take_count(joint_odometry *joint, const joint_feedback *sample, double elapsed_s,
                        double timeout_s)
 {
@@ -190,7 +192,7 @@ static void take_count(joint_odometry *joint, const joint_feedback *sample, doub
     double sure_rad = joint->since_rad += constant->reach_rad_s * elapsed_s;
     double reach_rad = sure_rad + joint->unused_rad;
     bool known = sample->epoch == joint->epoch;
-    /* could it have gone round the counter in the other direction? */
+    /* whether it could have gone round the counter in the other direction */
     if (known && constant->counter_round_rad - fabs(travel_rad) <= sure_rad) {
         travel_rad = travel_by_turns(joint, sample, travel_rad, elapsed_s, timeout_s);
         known = isfinite(travel_rad) && joint->last != REFUSED;
@@ -204,8 +206,7 @@ static void take_count(joint_odometry *joint, const joint_feedback *sample, doub
     }
 }
 
-/* A new sample of any kind. Kept out of the loop over the joints, whose common case it would
- * slow down. */
+/* Take a new sample of any kind. Kept out of the loop over the joints, which it would slow down. */
 __attribute__((noinline)) static void take(joint_odometry *joint, const joint_feedback *sample,
                                            double setpoint_rad_s, double timeout_s)
 {
@@ -221,8 +222,8 @@ __attribute__((noinline)) static void take(joint_odometry *joint, const joint_fe
     }
 }
 
-/* The common case of take_count(): after an accepted sample, one that allows only this travel,
- * within reach. */
+/* Take the common case of take_count(): after an accepted sample, one that allows only this travel,
+ * within reach. Returns false for other cases. */
 static inline bool take_next(joint_odometry *joint, const joint_feedback *sample)
 {
     const joint_constants *constant = &joint->constant;

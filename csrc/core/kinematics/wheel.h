@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * wheel.h: one wheel's share of kinematics, saturation and the PWM map, in place, for the tick and
- * the public functions alike. */
+ * wheel.h: one wheel's share of kinematics, saturation and the PWM map, inline, for the tick and
+ * the public functions. */
 #ifndef MOTORD_WHEEL_H
 #define MOTORD_WHEEL_H
 
@@ -8,7 +8,7 @@
 
 #include <math.h>
 
-/* rad/s of a twist, twist_u_s[AXES] */
+/* Return the wheel's rad/s for a twist, twist_u_s[AXES]. */
 static inline double wheel_speed(const joint_config *joint, const double *twist_u_s)
 {
     const wheel_row *row = &joint->row;
@@ -17,7 +17,8 @@ static inline double wheel_speed(const joint_config *joint, const double *twist_
     return rim_m_s / joint->wheel_radius_m;
 }
 
-/* Rounding may put a twist at a wheel's limit beyond it by the last bit; NaN stays NaN. */
+/* Return a speed within the wheel's limits: rounding may put one beyond them by the last bit. NaN
+ * stays NaN. */
 static inline double wheel_rounded(const joint_config *joint, double speed_rad_s)
 {
     double most_rad_s = joint->velocity_max_rad_s, least_rad_s = joint->velocity_min_rad_s;
@@ -25,7 +26,8 @@ static inline double wheel_rounded(const joint_config *joint, double speed_rad_s
     return below_rad_s < least_rad_s ? least_rad_s : below_rad_s;
 }
 
-/* The fastest growth of its speed, away from zero, at which the duty keeps its slew. */
+/* Return the fastest growth of the wheel's speed, away from zero, at which the duty keeps its
+ * slew. */
 static inline double wheel_acceleration(const pwm_config *config)
 {
     return config->slew_per_s * config->full_duty_rad_s / (1.0 - config->dead_band);
@@ -36,7 +38,7 @@ static inline bool wheel_within(const joint_config *joint, double want_rad_s)
     return want_rad_s <= joint->velocity_max_rad_s && want_rad_s >= joint->velocity_min_rad_s;
 }
 
-/* The factor that brings a wheel within the limits that it is beyond. */
+/* Return the factor that brings a wheel that is beyond its limits to within them. */
 static inline double wheel_share(const joint_config *joint, double want_rad_s)
 {
     double want = fabs(want_rad_s);
@@ -45,12 +47,12 @@ static inline double wheel_share(const joint_config *joint, double want_rad_s)
         return 0.0;
     }
     double quotient = fabs(limit / want);
-    /* it may have been rounded up */
+    /* the quotient may have been rounded up */
     return want * quotient > limit ? nextafter(quotient, 0.0) : quotient;
 }
 
-/* A straight line that begins at the dead band's edge. A speed that is not finite gives a duty
- * that is not. */
+/* Return the duty by a straight line that begins at the dead band's edge. A speed that is not
+ * finite gives a duty that is not. */
 static inline pwm_output wheel_duty(const pwm_config *config, double last_duty,
                                     double velocity_rad_s, double dt_s)
 {
@@ -64,7 +66,7 @@ static inline pwm_output wheel_duty(const pwm_config *config, double last_duty,
     duty = duty < config->duty_min ? config->duty_min : duty;
     uint32_t reasons = duty != wanted ? (uint32_t)REASON_DUTY_CLAMPED : 0;
     if (config->slew_per_s < INFINITY) {
-        /* away from zero only; from the dead band's edge where the duty is less */
+        /* only away from zero; from the dead band's edge if the duty is less */
         double start = back ? -last_duty : last_duty;
         double reach =
             (start > config->dead_band ? start : config->dead_band) + config->slew_per_s * dt_s;

@@ -1,13 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_clock.c: the time that a feedback spent in a buffer counts as age. Source of the rule:
- * Cristian, Probabilistic Clock Synchronization, Distributed Computing 3, 1989: the least
- * difference between both clocks is the offset. */
+ * board_clock.c: stamps of feedback, whose time in a buffer counts as age. The least difference
+ * between both clocks is the offset: Cristian, Probabilistic Clock Synchronization, Distributed
+ * Computing 3, 1989. */
 #include "board_machine.h"
 
-/* When the least delay falls, stamps step back. Counts of a longer distance than the time since the
- * stamp before allows would be refused as a jump (odometry.c: 1.5 times the highest speed), and the
- * distance lost: so a frame adds nothing, for at most this long, until its stamp has advanced by
- * three quarters of the board's own time. */
+/* Limit for catching up. When the least delay falls, stamps step back. The core would refuse, as a
+ * jump, counts of a longer distance than the time since the previous stamp allows (odometry.c: 1.5
+ * times the highest speed), and the distance would be lost. So a frame adds nothing, for at most
+ * this long, until its stamp has advanced by three quarters of the board's own time. */
 static const int64_t CATCH_UP_NS = 240 * 1000000;
 static const int64_t NS_PER_US = 1000;
 

@@ -12,7 +12,7 @@ void board_hold(board_machine *m, const board_write *write, uint32_t count, int6
     }
 }
 
-/* Puts what the rules have decided into the payload. */
+/* Put the writes of the stop that the rules have decided into the payload. */
 void board_begin_stop(board_machine *m, drive_stop stop, int64_t now_ns)
 {
     m->notify |= drive_is_changed(&m->state);
@@ -64,7 +64,7 @@ void board_last_power_off(board_machine *m, int64_t now_ns)
     m->off_waits = !m->off_suffices;
 }
 
-/* It goes out in every cycle of the end. */
+/* Note that the last power-off goes out, in every cycle of the end. */
 static void note_last_power_off(board_machine *m, int64_t now_ns)
 {
     if (m->end.stage != END_POWER_OFF) {
@@ -74,8 +74,9 @@ static void note_last_power_off(board_machine *m, int64_t now_ns)
     m->off_again_ns = m->off_again_ns == 0 && m->off_word_ns > 0 ? now_ns : m->off_again_ns;
 }
 
-/* Frames show which of ours the board has received. Other feedback does not, and may have been in
- * transit before a wire was cut: two are needed, with the power-off between them. */
+/* Check whether the board has received the last power-off. Frames show which of motord's frames the
+ * board has received. Other feedback does not, and may have been in transit before a wire was cut:
+ * two are needed, with the power-off between them. */
 void board_look_for_proof(board_machine *m)
 {
     bool frames = m->table.dialect == BOARD_FRAMES, reports = reports_power(m);
@@ -90,7 +91,7 @@ void board_look_for_proof(board_machine *m)
 static void becomes_unresponsive(board_machine *m, int64_t now_ns)
 {
     m->unresponsive++;
-    /* it may still receive: in every cycle from now on */
+    /* the board may still receive: the stop goes out in every cycle from now on */
     board_begin_stop(m, drive_quick_stop(&m->state, 0, now_ns), now_ns);
     drive_unresponsive(&m->state);
     m->feedback_bytes = 0;
@@ -109,14 +110,14 @@ void board_sent(board_machine *m, int64_t now_ns)
         m->notify |= drive_stop_done(&m->state);
     }
     note_last_power_off(m, now_ns);
-    if (m->table.answers == 0) { /* the port has taken its bytes: nothing more can be known */
+    if (m->table.answers == 0) { /* the port has taken the bytes: nothing more can be known */
         m->stamp_ns = m->knows_ns = now_ns;
         board_received(m, now_ns);
     }
 }
 
 /* ----------------------------------------------------------------------------- its word */
-/* The drive's report counts if it was made after the drive had received the payload's writes. */
+/* Evaluate the drive's report, made after the drive had received the payload's writes. */
 static void believe(board_machine *m, bool kept, int64_t now_ns)
 {
     bool settled = now_ns >= m->control.request.arming_until_ns;
@@ -166,7 +167,8 @@ void board_guard(board_machine *m, int64_t now_ns)
 }
 
 /* ----------------------------------------------------------------------------- requests */
-/* A board follows what stays in its payload: it is switched off in any state. */
+/* Obey a request. A board follows the values that stay in its payload, so it is switched off in any
+ * state. */
 void board_obey_request(board_machine *m, int64_t now_ns)
 {
     drive_view view = view_of(m, now_ns);

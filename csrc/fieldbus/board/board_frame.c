@@ -6,7 +6,7 @@
 
 enum { VERSION = 1, CRC_BYTES = 2 };
 
-/* CRC-16/IBM-3740: polynomial 0x1021, not reflected, start 0xFFFF. */
+/* Return the CRC-16/IBM-3740: polynomial 0x1021, not reflected, start 0xFFFF. */
 static uint16_t crc16(const uint8_t *data, uint32_t count)
 {
     uint32_t crc = 0xFFFF;
@@ -19,7 +19,8 @@ static uint16_t crc16(const uint8_t *data, uint32_t count)
     return (uint16_t)crc;
 }
 
-/* Consistent overhead byte stuffing (Cheshire & Baker, 1999) of less than 254 bytes: one more. */
+/* Stuff less than 254 bytes (consistent overhead byte stuffing: Cheshire & Baker, 1999): one byte
+ * more. */
 static uint32_t stuff(const uint8_t *data, uint32_t count, uint8_t *out)
 {
     uint32_t code = 0, at = 1;
@@ -35,7 +36,7 @@ static uint32_t stuff(const uint8_t *data, uint32_t count, uint8_t *out)
     return at;
 }
 
-/* 0: it is not stuffed, or longer than a frame. */
+/* Undo the stuffing. Returns 0 if the data are not stuffed, or longer than a frame. */
 static uint32_t unstuff(const uint8_t *data, uint32_t count, uint8_t *out)
 {
     uint32_t from = 0, to = 0;

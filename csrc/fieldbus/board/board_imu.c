@@ -27,7 +27,7 @@ bool board_imu_fits(const uint8_t *payload, uint32_t feedback_bytes)
     return (payload[STATUS_AT] & HAS_IMU) == 0 || feedback_bytes >= begin_of(payload) + IMU_BYTES;
 }
 
-/* The least number of its size means that nothing was measured. */
+/* Return a value in SI; NaN: the least number of its size means that nothing was measured. */
 static double si_at(const uint8_t *payload, uint32_t byte, uint32_t bytes, double unit)
 {
     board_place place = {.byte = byte, .bytes = bytes, .is_signed = 1};

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_json.c: lines of text that are JSON objects (RFC 8259), by the names of their members.
+ * board_json.c: lines of text that are JSON objects (RFC 8259), read by the names of their members.
  * Members that no part names are skipped. Names are compared byte by byte, so a name with an escape
- * matches none. */
+ * matches no part. */
 #include <string.h>
 
 #include "board_machine.h"
@@ -11,7 +11,7 @@ static bool is_at(const board_reader *r, const char *of)
     return r->at < r->end && *r->at != 0 && strchr(of, *r->at) != NULL;
 }
 
-/* From one quotation mark to the other. */
+/* Read a string, from one quotation mark to the other. */
 static bool take_string(board_reader *r, const uint8_t **begin, uint32_t *count)
 {
     if (!board_take_one(r, "\"")) {
@@ -25,7 +25,7 @@ static bool take_string(board_reader *r, const uint8_t **begin, uint32_t *count)
     return board_take_one(r, "\"");
 }
 
-/* Objects and lists are skipped to their end. */
+/* Skip an object or list to its end. */
 static bool skip_nested(board_reader *r)
 {
     uint32_t depth = 0;
@@ -61,7 +61,7 @@ static bool skip_value(board_reader *r)
     return r->at > begin;
 }
 
-/* Number of the part; part_count: no part has this name. */
+/* Return the number of the part; part_count: no part has this name. */
 static uint32_t find(const board_text *text, const uint8_t *name, uint32_t count)
 {
     const uint8_t *literal = text->literal;

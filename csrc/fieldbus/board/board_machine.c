@@ -1,14 +1,15 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_machine.c: what comes from a board, what is sent and when, and how it ends. */
+ * board_machine.c: what is received from a board, what is sent and when, and how it ends. */
 #include "board_machine.h"
 
 #include <errno.h>
 #include <string.h>
 
 static const int64_t NS_PER_US = 1000, HELD_UNIT_NS = 100000;
-/* It was received before it was sent: the number belongs to set-points of an earlier program. */
+/* Tolerance for a frame that was received before it was sent: beyond it, the number belongs to
+ * set-points of an earlier program. */
 static const int64_t HELD_TOLERANCE_NS = 2 * BOARD_MS;
-/* Beyond the end's time: for a board that responds to report that it has no power. */
+/* Time beyond the end's limit for a board that responds to report that it has no power. */
 static const int64_t REPORT_EXTRA_NS = 500 * BOARD_MS;
 static const board_place RECEIVED_SEQUENCE = {.byte = 6, .bytes = 2},
                          RECEIVED_AGO = {.byte = 8, .bytes = 2};
@@ -36,9 +37,9 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
 }
 
 /* ---------------------------------------------------------------------------- receiving */
-/* The newest of our frames that the board had received, and how long before the feedback. A frame
- * of an earlier program may have a greater number: the board takes none of ours until we are ahead
- * of it. */
+/* Note the newest of motord's frames that the board had received, and how long before the feedback.
+ * A frame of an earlier program may have a greater number: the board takes none of motord's until
+ * they have a greater one. */
 static void note_what_it_knows(board_machine *m, int64_t now_ns)
 {
     uint16_t sequence = (uint16_t)board_get(m->feedback_payload, &RECEIVED_SEQUENCE);
@@ -118,8 +119,8 @@ static bool ends(const board_machine *m, uint8_t byte)
     return m->table.dialect == BOARD_TEXT ? line_end : byte == 0;
 }
 
-/* A line of text that is too long is skipped up to its end. A frame that fills the buffer is too
- * long by a byte. */
+/* Take pieces of the stream. A line of text that is too long is skipped up to its end. A frame that
+ * fills the buffer is too long by a byte. */
 static void take_pieces(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
 {
     board_tail *tail = &m->tail;
@@ -137,7 +138,7 @@ static void take_pieces(board_machine *m, const uint8_t *bytes, uint32_t count, 
     }
 }
 
-/* A Sabertooth sends nothing. */
+/* Take received bytes. A Sabertooth sends nothing. */
 void board_machine_receive(board_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
 {
     if (m->table.dialect <= BOARD_TEXT) {
@@ -159,7 +160,7 @@ bool board_machine_order(board_machine *m, const board_order *order)
     return true;
 }
 
-/* Puts it into the payload, once; it is done when a frame with it has gone out. */
+/* Put an order into the payload, once; it is done when a frame with it has gone out. */
 static void obey_order(board_machine *m, int64_t now_ns)
 {
     const board_order *order = &m->order;
@@ -178,7 +179,7 @@ static void obey_order(board_machine *m, int64_t now_ns)
     m->order_written = true;
 }
 
-/* All drivers at once: a stop of one stops the others in the same cycle. */
+/* Build the packets of all drivers at once: a stop of one stops the others in the same cycle. */
 static uint32_t build_sabertooths(const board_table *table, const uint8_t *payload, uint8_t *out)
 {
     uint32_t count = 0;
@@ -232,8 +233,8 @@ static void cycle(board_machine *m, int64_t now_ns)
 }
 
 /* ------------------------------------------------------------------------------ the end */
-/* Silent only when the last frame has had time to leave the port, and the board has reported that
- * it has no power. A board that responds gets more time for that. */
+/* The line is silent only when the last frame has had time to leave the port, and the board has
+ * reported that it has no power. A board that responds gets more time for that. */
 static void shut_down(board_machine *m, int64_t now_ns)
 {
     if (end_begins(&m->end, m->control.shut_down != 0, now_ns)) {

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_packets.c: packets that other makers' boards take and send.
+ * board_packets.c: packets that boards of other makers take and send.
  *
  * The hoverboard FOC firmware (EFeru/hoverboard-firmware-hack-FOC, Src/util.c and Src/main.c):
  * words of 16 bits, low byte first; a start word, and the exclusive or of all words before it at
@@ -39,7 +39,7 @@ static int64_t held(int64_t value, int64_t most)
     return value > most ? most : value < -most ? -most : value;
 }
 
-/* The firmware's mixer with its default coefficients (1 and 0.5): left = speed +
+/* Build a command. The firmware's mixer has its default coefficients (1 and 0.5): left = speed +
  * steer / 2, right = speed - steer / 2. */
 uint32_t board_hoverboard_build(const uint8_t *payload, uint32_t mixed, uint8_t *out)
 {
@@ -58,9 +58,10 @@ static bool may_begin(const hoverboard_tail *tail)
            (tail->bytes[0] == first && (tail->count == 1 || tail->bytes[1] == second));
 }
 
-/* The end of a frame and the beginning of an equal one have a good sum, too: it is the sum of the
- * same words. But they contain the start word, and no value comes near it: a set-point is 1000 at
- * most, and speeds, voltages and temperatures are small. */
+/* Whether the values contain the start word. The end of a frame and the beginning of an equal one
+ * have a good sum, too: it is the sum of the same words. But they contain the start word, and no
+ * value comes near it: a set-point is 1000 at most, and speeds, voltages and temperatures are
+ * small. */
 static bool has_start_within(const uint8_t *values)
 {
     for (uint32_t i = 0; i + 1 < HOVERBOARD_VALUE_BYTES; i++) {
@@ -79,7 +80,8 @@ static bool is_feedback(const hoverboard_tail *tail)
            !has_start_within(tail->bytes + WORD_BYTES);
 }
 
-/* Bytes that begin no good frame are dropped one by one: a frame may begin among them. */
+/* Take a byte. Bytes that begin no good frame are dropped one by one: a frame may begin among
+ * them. */
 uint32_t board_hoverboard_take(hoverboard_tail *tail, uint8_t byte, uint8_t *values)
 {
     tail->bytes[tail->count++] = byte;
@@ -128,8 +130,8 @@ static uint32_t put_motor(uint32_t unit, uint32_t forward, uint32_t backward, in
     return put_packet(unit, inside < 0 ? backward : forward, inside < 0 ? -inside : inside, out);
 }
 
-/* The time-out is lost with its power, which nothing would show: so it goes out with every
- * set-point. */
+/* Build the packets. The time-out is lost with the driver's power, which nothing would show: so it
+ * goes out with every set-point. */
 uint32_t board_sabertooth_build(uint32_t unit, const uint8_t *payload, uint8_t *out)
 {
     const board_place first = {.byte = 1, .bytes = 1, .is_signed = 1},

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_table.c: checks a board's table. With a good table nothing outside it is ever read or
+ * board_table.c: checks a board's table. With a good table, no memory outside it is ever read or
  * written. */
 #include <math.h>
 #include <string.h>
@@ -53,7 +53,7 @@ static void check_field(finding *f, const board_field *field, uint32_t bytes)
     check_meaning(f, &field->meaning, FIELD_KEPT);
 }
 
-/* A part's largest value is still written exactly. */
+/* Check that a part's largest value is still written exactly. */
 static void check_written(finding *f, const board_part *part, const board_table *table)
 {
     double most = 0.0;
@@ -68,7 +68,7 @@ static void check_written(finding *f, const board_part *part, const board_table 
     need(f, part->width <= WIDTH_MAX && part->precision <= WIDTH_MAX, "part.width");
 }
 
-/* Whether this byte ends a number: the others could continue it. */
+/* Whether this byte ends a number: no number contains it. */
 static bool parts_number(uint8_t byte)
 {
     return !((byte >= '0' && byte <= '9') || byte == '.' || byte == 'e' || byte == 'E');
@@ -87,7 +87,7 @@ static void check_read(finding *f, const board_text *text, uint32_t number, uint
     }
 }
 
-/* Names of members, without escapes. */
+/* Check the names of members, which have no escapes. */
 static void check_json(finding *f, const board_text *text, uint32_t number, uint32_t literal,
                        uint32_t bytes)
 {
@@ -183,7 +183,7 @@ static void check_sabertooths(finding *f, const board_table *table)
     need(f, table->answers == 0, "answers");
 }
 
-/* The sizes of the packets' contents. */
+/* Check the sizes of the packets' contents. */
 static void check_packets(finding *f, const board_table *table)
 {
     if (table->dialect == BOARD_HOVERBOARD) {
@@ -225,7 +225,7 @@ const char *board_table_check(const board_table *table, char *name)
     } else if (!f.bad && table->dialect > BOARD_TEXT) {
         check_packets(&f, table);
     } else if (!f.bad) {
-        /* the received set-points, and when */
+        /* the numbers of the received set-points, and their age */
         need(&f, table->answers == 1 && table->feedback_bytes >= 10, "feedback_bytes");
     }
     return f.bad ? name : NULL;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * board_text.c: lines of text by templates, docs/mcu/line-ascii.md. Numbers are written with the
- * point of the "C" locale, which the board's thread has, and are read without any. */
+ * decimal point of the "C" locale, which the board's thread has, and are read without a locale. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -10,7 +10,7 @@
 static const int32_t EXPONENT_MAX = 400; /* a longer number does not fit a double */
 
 /* ------------------------------------------------------------------------------ writing */
-/* printf's format of a part: sign, zeros and form; width and precision are arguments. */
+/* Write printf's format of a part: sign, zeros and form; width and precision are arguments. */
 static void format_of(const board_part *part, char *out)
 {
     *out++ = '%';
@@ -94,7 +94,7 @@ void board_skip_white(board_reader *r)
     }
 }
 
-/* Appends digits to a number; returns how many there were. */
+/* Append digits to a number. Returns their count. */
 static int32_t take_digits(board_reader *r, double *number)
 {
     int32_t count = 0;
@@ -105,7 +105,7 @@ static int32_t take_digits(board_reader *r, double *number)
     return count;
 }
 
-/* An `e` without digits after it does not belong to the number. */
+/* Take an exponent. An `e` without digits after it does not belong to the number. */
 static int32_t take_exponent(board_reader *r)
 {
     board_reader ahead = *r;
@@ -141,7 +141,7 @@ bool board_take_number(board_reader *r, double *out)
     return isfinite(*out);
 }
 
-/* White space matches any other; at both ends of the text it is optional. */
+/* Take a literal. Any white space matches any other; at both ends of the text it is optional. */
 static bool take_literal(board_reader *r, const uint8_t *literal, uint32_t count, bool first,
                          bool last)
 {

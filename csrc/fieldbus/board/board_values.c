@@ -35,7 +35,8 @@ int64_t board_raw_max(const board_place *place)
 }
 
 /* --------------------------------------------------------------------------- set-points */
-/* board_guard has taken ARMED back before, in this very step, where the set-points are old. */
+/* Write the set-points. In this same step, board_guard has taken ARMED back before if they are
+ * old. */
 bool board_payload(const board_machine *m, uint8_t *payload)
 {
     bool motion = false, may_move = drive_may_move(&m->state, true, m->newest.enabled == 1);

@@ -37,7 +37,7 @@ static line_thread *life_of(uint32_t line)
 }
 
 /* ----------------------------------------------------------------------------- the port */
-/* Returns how many it took, 0 if it takes none now. */
+/* Write bytes. Returns the number that the port took, 0 if it takes none now. */
 static uint32_t write_some(board_thread *t, const uint8_t *bytes, uint32_t count)
 {
     ssize_t went;
@@ -64,7 +64,7 @@ static bool flush_rest(board_thread *t)
     return t->rest_bytes == 0;
 }
 
-/* Not behind older frames that still wait: it would come late. */
+/* Send bytes, but not behind older frames that still wait: they would come late. */
 static bool send_bytes(void *sink, const uint8_t *bytes, uint32_t count)
 {
     board_thread *t = sink;
@@ -119,7 +119,7 @@ static void take_order(board_thread *t)
 }
 
 /* --------------------------------------------------------------------------- the thread */
-/* Waits for bytes, a wake or the time; returns the bytes' number or -errno. */
+/* Wait for bytes, a wake or the time. Returns the number of bytes or -errno. */
 static int wait_for_wakeup(board_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
@@ -152,7 +152,7 @@ static void *run(void *arg)
     int64_t wake_ns = 0;
     int count = 0, error = 0;
     line_thread_begin(&t->life, "motord-board");
-    /* text uses a point, in any locale of the process */
+    /* text uses a decimal point, in any locale of the process */
     (void)uselocale(newlocale(LC_ALL_MASK, "C", (locale_t)0));
     while (!t->life.stop_requested && error == 0) {
         error = go_round(t, bytes, (uint32_t)count, &wake_ns);
@@ -166,7 +166,7 @@ static void *run(void *arg)
 }
 
 /* ----------------------------------------------------------------------------- its life */
-/* The sequence goes on: the board takes no older one. */
+/* Prepare a start. The sequence continues: the board takes no older one. */
 static int prepare(board_thread *t, uint32_t line, const board_config *config,
                    const board_table *table)
 {

@@ -1,14 +1,15 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_drive.c: one drive of a CAN line: what it gets, whether it responds, when it has to stop. */
+ * can_drive.c: one drive of a CAN line: what it is sent, whether it responds, when it has to
+ * stop. */
 #include <string.h>
 
 #include "can_machine.h"
 #include "fresh.h"
 
 static const int64_t PROBE_LAST_NS = 2000 * CAN_MS;
-/* at the end: how often a power-off is repeated */
+/* at the end: interval at which a power-off is repeated */
 static const int64_t OFF_AGAIN_NS = 10 * CAN_MS;
-static const int64_t HELLO_GOOD_FOR_NS = 5000 * CAN_MS; /* until it is set up */
+static const int64_t HELLO_GOOD_FOR_NS = 5000 * CAN_MS; /* time for the set-up */
 
 /* ------------------------------------------------------------------------------ sending */
 bool can_send(can_machine *m, const can_packet *packet)
@@ -112,7 +113,7 @@ bool can_differs(const can_machine *m, uint32_t number)
 void can_send_setpoints(can_machine *m, uint32_t number, int64_t now_ns)
 {
     const can_drive_state *drive = &m->drive[number];
-    /* it has power: zero does not switch it on */
+    /* the drive has power, so zero does not switch it on */
     bool moves = drive->state.sent_motion && drive->state.stop == STOP_NOTHING;
     if (drive->state.mode == DRIVE_ARMED || drive->state.stopping || moves ||
         m->table.drive[number].idle_setpoints != 0) {
@@ -130,7 +131,7 @@ void can_stop_now(can_machine *m, uint32_t number, uint32_t kind)
     m->notify = true;
 }
 
-/* Begins what the rules have decided. */
+/* Begin the stop that the rules have decided. */
 void can_begin_stop(can_machine *m, uint32_t number, drive_stop stop)
 {
     if (stop != STOP_NOTHING) {
@@ -146,11 +147,11 @@ static bool send_stop(can_machine *m, uint32_t number, bool quick)
     uint32_t count = quick ? table->quick_stop_count : table->disarm_count;
     for (; drive->stop_place < count; drive->stop_place++) {
         if (!can_write_out(m, number, &write[drive->stop_place])) {
-            return false; /* sent again in the next step */
+            return false; /* the rest is sent in the next step */
         }
     }
     if (!quick && table->idle_setpoints == 0) {
-        drive->state.sent_motion = false; /* its set-points would switch it on again */
+        drive->state.sent_motion = false; /* set-points would switch the drive on again */
     }
     return true;
 }
@@ -175,8 +176,8 @@ bool can_is_off(const can_machine *m, uint32_t number)
            drive_is_off(&drive->last_off, reports, drive->state.enabled, drive->newest_ns);
 }
 
-/* Frames that do not come by themselves are requested after it. A stop that the CAN bus took in
- * part stays due: its rest goes out in the next step. */
+/* Send the last power-off, and request the frames that do not come by themselves. A stop that the
+ * CAN bus took only in part stays due: its rest goes out in the next step. */
 static void send_last_power_off(can_machine *m, uint32_t number)
 {
     can_drive_state *drive = &m->drive[number];
@@ -254,7 +255,7 @@ static void becomes_unresponsive(can_machine *m, uint32_t number, int64_t now_ns
     m->notify = true;
     can_hold_nothing(m, number);
     if (m->end.stage == END_NOT) {
-        drive->state.stop = STOP_NOTHING; /* its probes stop it */
+        drive->state.stop = STOP_NOTHING; /* its probes stop the drive */
     }
     drive->stops++;
     drive->unresponsive_since_ns = drive->probe_at_ns = now_ns;
@@ -264,7 +265,7 @@ static void becomes_unresponsive(can_machine *m, uint32_t number, int64_t now_ns
     }
 }
 
-/* A silent drive may still receive: if it may turn, it gets a stop. */
+/* Probe a silent drive. It may still receive: if it may turn, it gets a stop. */
 static void probe(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
@@ -281,7 +282,7 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
         all_sent = all_sent && !drive->state.sent_motion;
     }
     send_all(m, table->probe, table->probe_count);
-    if (all_sent) { /* else it goes out again in the next cycle */
+    if (all_sent) { /* else the stop goes out again in the next cycle */
         drive->probe_at_ns = now_ns + drive->probe_pause_ns;
         drive->probe_pause_ns =
             2 * drive->probe_pause_ns < PROBE_LAST_NS ? 2 * drive->probe_pause_ns : PROBE_LAST_NS;
@@ -325,7 +326,7 @@ void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
 }
 
 /* ----------------------------------------------------------------------------- requests */
-/* Frames have their full time to come, counted from now. */
+/* Give the frames their full time to come, counted from now. */
 static void begin_listening(can_drive_state *drive, int64_t now_ns)
 {
     drive->last_sent_ns = now_ns;
@@ -374,8 +375,8 @@ void can_obey_request(can_machine *m, uint32_t number, int64_t now_ns)
 }
 
 /* ---------------------------------------------------------------------------- its cycle */
-/* Requests that may wait. A drive that cannot report its power gets its power-off again: the first
- * one may have been lost. */
+/* Send requests that may wait. A drive that cannot report its power gets its power-off again: the
+ * first one may have been lost. */
 static void now_and_then(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
@@ -396,7 +397,7 @@ void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
     const can_drive *table = &m->table.drive[number];
-    /* Python waits for it */
+    /* the drive is probed because Python waits for it */
     bool absent = drive->state.mode == DRIVE_OFF && drive->may_turn && drive->missing != 0;
     if (drive->state.mode == DRIVE_UNRESPONSIVE || absent) {
         probe(m, number, now_ns);

@@ -1,13 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_machine.c: the line: what is received, what is sent and when, and how it ends. */
+ * can_machine.c: the line: what it receives, what it sends and when, and how it ends. */
 #include "can_machine.h"
 
 #include <errno.h>
 #include <string.h>
 
-/* Adapters on USB take milliseconds to report that a frame has left. */
+/* Least waiting time: adapters on USB take milliseconds to report that a frame has left. */
 static const int64_t LEAVES_WITHIN_NS = 5 * CAN_MS;
-/* Beyond the end's time: for a drive that responds to report that it has no power. */
+/* Time beyond the end's limit for a drive that responds to report that it has no power. */
 static const int64_t REPORT_EXTRA_NS = 500 * CAN_MS;
 
 /* ---------------------------------------------------------------------------- beginning */
@@ -114,7 +114,7 @@ static void take_input(can_machine *m, uint32_t number, uint32_t place, const ca
     }
 }
 
-/* The first match of the identifier. */
+/* Return the first match of the identifier. */
 static uint32_t first_route(const can_machine *m, uint32_t id)
 {
     uint32_t low = 0, high = m->route_count;
@@ -151,7 +151,7 @@ uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t s
         return CAN_DRIVES_MAX;
     }
     bool known = false;
-    uint32_t i = first_route(m, packet->id); /* a remote frame's differs, too */
+    uint32_t i = first_route(m, packet->id); /* a remote frame has another identifier */
     for (; i < m->route_count && m->route[i].id == packet->id; i++) {
         uint32_t drive = m->route[i].drive;
         const can_match *match = &m->table.drive[drive].match[m->route[i].match];
@@ -179,7 +179,7 @@ bool can_machine_order(can_machine *m, const can_order *order)
     return true;
 }
 
-/* In order; what the CAN bus does not take waits. */
+/* Send the orders in sequence. Those that the CAN bus does not take wait. */
 static void send_orders(can_machine *m, int64_t now_ns)
 {
     uint32_t done = 0;
@@ -187,7 +187,7 @@ static void send_orders(can_machine *m, int64_t now_ns)
         const can_order *order = &m->order[done];
         bool stopped = order->guarded != 0 && order->stops != m->drive[order->drive].stops;
         bool late = order->expires_ns <= now_ns || m->end.stage != END_NOT;
-        /* it would move once it has power */
+        /* the drive would move once it has power */
         bool astray = order->guarded != 0 && can_place_is_missing(m, order->drive);
         if (stopped || late || astray) {
             m->drive[order->drive].orders_dropped++;
@@ -242,8 +242,8 @@ static void send_stops(can_machine *m, int64_t now_ns)
     }
 }
 
-/* While a cable is pulled, the kernel's queue fills, and it goes out when the cable is plugged in
- * again, whether motord runs or not. So little motion may wait there, with zero behind it. */
+/* Limit the motion that waits in the kernel's queue, with zero behind it. While a cable is pulled,
+ * the queue fills. It goes out when the cable is plugged in again, whether motord runs or not. */
 static void look_at_queue(can_machine *m, int64_t now_ns)
 {
     int64_t limit_ns =
@@ -282,8 +282,8 @@ static int64_t next_look_ns(const can_machine *m, int64_t now_ns)
     return m->end.stage < END_POWER_OFF ? earlier(wake_ns, m->cycle.due_ns) : wake_ns;
 }
 
-/* All armed drives, as in a cycle: a drive that lagged behind the others would turn the robot.
- * Sends no requests. */
+/* Send the set-points of all armed drives, as in a cycle, without requests: a drive that lagged
+ * behind the others would turn the robot. */
 static void send_early(can_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
@@ -301,7 +301,7 @@ void can_machine_kick(can_machine *m, int64_t now_ns)
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         differs |= m->drive[i].state.mode == DRIVE_ARMED && can_differs(m, i);
     }
-    /* while a cable is pulled, it would queue more motion for later */
+    /* while a cable is pulled, this would queue more motion for later */
     bool queued = m->receives_own && m->motion_since_ns != 0;
     int64_t *early_ns = &m->cycle.early_ns;
     m->early = differs && !queued && m->cycle.due_ns > now_ns &&
@@ -327,7 +327,7 @@ int64_t can_machine_step(can_machine *m, int64_t now_ns)
         send_early(m, now_ns);
     }
     m->early = false;
-    shut_down(m, now_ns); /* all have confirmed it: done */
+    shut_down(m, now_ns); /* all drives have confirmed their power-off */
     return next_look_ns(m, now_ns);
 }
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_table.c: checks a CAN line's table. With a good table nothing outside it is ever read or
+ * can_table.c: checks a CAN line's table. With a good table, no memory outside it is ever read or
  * written. */
 #include <float.h>
 #include <math.h>
@@ -29,7 +29,8 @@ static void check_place(finding *f, const can_place *place, uint32_t bytes)
          "place.start_bit");
 }
 
-/* A number that does not fit its place would go out as another one, even with the opposite sign. */
+/* Check that all numbers fit the place: another one would go out as a wrong number, even with the
+ * opposite sign. */
 static void check_setpoint(finding *f, const can_setpoint *setpoint, uint32_t bytes)
 {
     const can_place *place = &setpoint->place;
@@ -92,7 +93,7 @@ static void check_input(finding *f, const can_input *input, uint32_t bytes)
     }
 }
 
-/* An input frame is at least as long as the values that are read in it. */
+/* Check that an input frame is at least as long as the values that are read in it. */
 static void check_matches(finding *f, const can_drive *drive)
 {
     for (uint32_t i = 0; !f->bad && i < drive->match_count; i++) {

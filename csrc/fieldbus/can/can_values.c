@@ -6,7 +6,8 @@
 #include "can_machine.h"
 #include "joint_values.h"
 
-static const double COUNT_MAX = 4611686018427387904.0; /* 2^62: any counter's position is nearer */
+static const double COUNT_MAX = 4611686018427387904.0; /* 2^62: the position of any counter is
+                                                          smaller */
 
 /* --------------------------------------------------------------------------------- bits */
 static uint32_t bit_shift(const can_place *place, uint32_t bit)
@@ -14,7 +15,7 @@ static uint32_t bit_shift(const can_place *place, uint32_t bit)
     return place->big_endian != 0 ? 7 - bit % 8 : bit % 8;
 }
 
-/* Place of bit n of the number, n = 0 the least significant, counted as start_bit is. */
+/* Return the place of bit n of the number, n = 0 the least significant, counted like start_bit. */
 static uint32_t bit_at(const can_place *place, uint32_t n)
 {
     return place->start_bit + (place->big_endian != 0 ? place->length - 1 - n : n);
@@ -53,7 +54,7 @@ static double number_of(const can_place *place, int64_t raw)
 }
 
 /* --------------------------------------------------------------------------- set-points */
-/* can_guard has taken ARMED back before, in this very step, where the set-points are old. */
+/* In this same step, can_guard has taken ARMED back before if the set-points are old. */
 static bool may_move(const can_machine *m, uint32_t drive)
 {
     return drive_may_move(&m->drive[drive].state, true, m->newest.enabled == 1) && !m->motion_stays;
@@ -69,8 +70,8 @@ static position_range range_of(const can_machine *m, const can_setpoint *setpoin
                                 place_window_ns(m->table.setpoint_timeout_ns, m->table.period_ns)};
 }
 
-/* Its own position, for a drive that responds and has no power: it does not move, and still gets
- * set-points. NaN: nothing is sent. */
+/* Return the drive's own position, if it responds and has no power: then it does not move, and
+ * still gets set-points. NaN: nothing is sent. */
 static double position_kept(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
     const drive_state *state = &m->drive[drive].state;
@@ -85,14 +86,14 @@ static bool takes_position(const can_setpoint *setpoint)
     return setpoint->scale.kind == SETPOINT_POSITION;
 }
 
-/* The requested target, as its frame would carry it; NaN: none. */
+/* Return the requested target in the numbers of its frame; NaN: no target. */
 static double target_wanted(const can_machine *m, const can_setpoint *setpoint)
 {
     double wanted_rad = setpoint_of(&m->newest, setpoint->scale.joint, SETPOINT_POSITION);
     return wanted_rad * setpoint->scale.raw_per_si + setpoint->scale.raw_offset;
 }
 
-/* The target that goes out; NaN: none. */
+/* Return the target that goes out; NaN: no target. */
 static double target_of(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
     const position_range range = range_of(m, setpoint);
@@ -131,20 +132,20 @@ static int64_t raw_of(const can_machine *m, uint32_t drive, const can_setpoint *
     return pattern;
 }
 
-/* Any position that is sent moves it, whatever its number. */
+/* Whether a set-point moves the drive. Any position that is sent does, whatever its number. */
 static bool moves(const can_machine *m, uint32_t drive, const can_setpoint *setpoint)
 {
     return takes_position(setpoint) ? !isnan(target_of(m, drive, setpoint))
                                     : raw_of(m, drive, setpoint) != 0;
 }
 
-/* A handshake that uses only the drive's memory: what the CAN bus loses is sent again with the next
- * cycle. */
+/* Set the trigger, by a handshake that uses only the drive's memory: what the CAN bus loses is sent
+ * again with the next cycle. */
 static void put_trigger(const can_machine *m, uint32_t drive, const can_setpoint *setpoint,
                         uint8_t *data)
 {
     bool waits = m->joint[setpoint->scale.joint].taken == 0;
-    /* a length of 0: nothing */
+    /* with a length of 0 this writes nothing */
     can_put(data, &setpoint->trigger, waits && moves(m, drive, setpoint) ? 1 : 0);
 }
 
@@ -314,7 +315,7 @@ void can_publish(can_machine *m, uint32_t drive)
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         can_joint_state *joint = &m->joint[j];
         if (!has_joint(m, drive, j) || joint->no_number) {
-            continue; /* the sample grows old, and the core notices */
+            continue; /* the sample gets old, and the core notices that */
         }
         joint->feedback.stamp_ns = joint->count_ns > 0      ? joint->count_ns
                                    : joint->velocity_ns > 0 ? joint->velocity_ns

@@ -17,18 +17,18 @@
 enum { BATCH = 32, BATCHES_MAX = 32, CONTROL_BYTES = CMSG_SPACE(sizeof(struct timespec)) };
 
 static const int64_t NS_PER_S = 1000000000;
-/* Frames may wait this long for the next step: the kernel has stamped them, and a wake-up costs
+/* Time that frames may wait for the next step: the kernel has stamped them, and a wake-up costs
  * more than many frames. */
 static const int64_t FRAMES_WAIT_NS = 2 * 1000000;
 
-/* What belongs to a message, side by side: after a sleep the caches are cold. */
+/* The parts of a message side by side: after a sleep the caches are cold. */
 typedef struct {
     _Alignas(CACHE_LINE_BYTES) struct iovec iov;
     struct canfd_frame frame;
     _Alignas(struct cmsghdr) uint8_t control[CONTROL_BYTES];
 } can_letter;
 
-/* Where recvmmsg writes to. */
+/* Buffers for recvmmsg. */
 typedef struct {
     struct mmsghdr message[BATCH];
     can_letter letter[BATCH];
@@ -43,11 +43,11 @@ typedef struct {
     can_order order_place[CAN_ORDERS_MAX];
     can_received received_place[CAN_RECEIVED_MAX];
     can_inbox inbox;
-    int64_t emptied_ns; /* before the newest look that emptied the socket: what is read now came
-                           later */
+    int64_t emptied_ns; /* time before the newest look that emptied the socket: frames that are read
+                           now came later */
     can_report out;
-    uint32_t outputs[CAN_DRIVES_MAX]; /* of each drive, for callers that submit orders; 0: no such
-                                         drive */
+    uint32_t outputs[CAN_DRIVES_MAX]; /* number of outputs of each drive, for callers that submit
+                                         orders; 0: no such drive */
     int send_error;
     bool woken;
 } can_thread;
@@ -60,8 +60,8 @@ static line_thread *life_of(uint32_t line)
 }
 
 /* --------------------------------------------------------------------------- the socket */
-/* struct can_frame and struct canfd_frame begin alike (linux/can.h): the length written
- * distinguishes them. */
+/* Send a frame. struct can_frame and struct canfd_frame begin alike (linux/can.h); the written
+ * length distinguishes them. */
 static bool send_packet(void *sink, const can_packet *packet)
 {
     can_thread *t = sink;
@@ -95,9 +95,9 @@ static void prepare_inbox(can_inbox *inbox)
     }
 }
 
-/* When the kernel saw it: CLOCK_MONOTONIC, from the age by its wall-clock stamp.
- * That clock may be set while the frame is in transit: no frame is from the future, and none is
- * older than the look that found the socket empty. */
+/* Return the CLOCK_MONOTONIC time when the kernel received a frame, from the age by its wall-clock
+ * stamp. That clock may be set while the frame is in transit: no frame is from the future, and none
+ * is older than the look that found the socket empty. */
 static int64_t stamp_of(struct msghdr *message, int64_t emptied_ns, int64_t now_ns, int64_t wall_ns)
 {
     for (struct cmsghdr *one = CMSG_FIRSTHDR(message); one != NULL;
@@ -134,7 +134,7 @@ static void take_frame(can_thread *t, const struct canfd_frame *frame, size_t si
     }
 }
 
-/* Frames of a batch; 0: none; -errno: the CAN bus is lost. */
+/* Receive a batch. Returns the number of frames; 0: no frame; -errno: the CAN bus is lost. */
 static int receive_batch(can_thread *t)
 {
     can_inbox *inbox = &t->inbox;
@@ -155,8 +155,8 @@ static int receive_batch(can_thread *t)
         /* the kernel has overwritten these lengths */
         inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;
         if ((inbox->message[i].msg_hdr.msg_flags & MSG_CONFIRM) != 0) {
-            can_machine_left(&t->machine); /* linux Documentation/networking/can.rst: sent by this
-                                              socket */
+            can_machine_left(&t->machine); /* sent by this socket: linux
+                                              Documentation/networking/can.rst */
             continue;
         }
         take_frame(t, &inbox->letter[i].frame, inbox->message[i].msg_len, stamp_ns, now_ns);
@@ -165,7 +165,8 @@ static int receive_batch(can_thread *t)
     return count;
 }
 
-/* Takes all that has come before a drive counts as missing; a flood does not delay the cycle. */
+/* Take all received frames before a drive counts as missing, up to a limit: a flood does not delay
+ * the cycle. */
 static int receive(can_thread *t)
 {
     int count = BATCH;
@@ -175,7 +176,7 @@ static int receive(can_thread *t)
     return count < 0 ? count : 0;
 }
 
-/* The socket was opened to receive its own set-point frames when they have left; sockets of
+/* Whether the socket was opened to receive its own set-point frames when they have left. Sockets of
  * other kinds cannot. */
 static bool receives_own(int fd)
 {
@@ -224,7 +225,7 @@ static void take_orders(can_thread *t)
 }
 
 /* --------------------------------------------------------------------------- the thread */
-/* Waits for frames, a wake or the time. 0; -errno: the CAN bus is lost. */
+/* Wait for frames, a wake or the time. Returns 0; -errno: the CAN bus is lost. */
 static int wait_for_wakeup(can_thread *t, int64_t until_ns)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
@@ -239,7 +240,7 @@ static int wait_for_wakeup(can_thread *t, int64_t until_ns)
 
 static int go_round(can_thread *t, int64_t *wake_ns)
 {
-    /* the control first: it has the drives whose frames Python receives */
+    /* the control comes first: it contains the drives whose frames Python receives */
     line_thread_take_control(&t->life, &t->machine.control);
     int error = receive(t);
     t->machine.enabled_count = line_thread_take_setpoints(&t->life, &t->machine.newest);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_begin.c: the line before its first step: the joints of each drive, and the drives that get a
- * stop first. */
+ * line_begin.c: prepares a line before its first step: the joints of each drive, and the drives
+ * that get a stop first. */
 #include <errno.h>
 #include <string.h>
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_drive.c: one drive of a line: what it gets, whether it responds, and when it has to stop. */
+ * line_drive.c: one drive of a line: what it is sent, whether it responds, and when it has to
+ * stop. */
 #include <string.h>
 
 #include "line_machine.h"
@@ -30,7 +31,7 @@ void line_stop_now(line_machine *m, uint32_t number, uint32_t kind)
     }
 }
 
-/* Begins what the rules have decided. */
+/* Begin the stop that the rules have decided. */
 void line_begin_stop(line_machine *m, uint32_t number, drive_stop stop, int64_t now_ns)
 {
     m->notify |= drive_is_changed(&m->drive[number].state);
@@ -114,7 +115,7 @@ void line_obey_request(line_machine *m, uint32_t number, int64_t now_ns)
         set_up(m, number, now_ns);
     } else if (answer.request == REQUEST_ARM) {
         drive->may_turn = true;
-        drive->enabled_before = 2; /* a report from before it was armed is no loss of power */
+        drive->enabled_before = 2; /* a report from before the arming is no loss of power */
         memset(drive->last_sent, 0, sizeof drive->last_sent);
     } else if (answer.request == REQUEST_STAND_DOWN) {
         drive->due_ns = now_ns;
@@ -162,13 +163,14 @@ static const line_frame *direction_frame(const line_machine *m, uint32_t number,
                                             : &from->reverse;
 }
 
-/* In REST: rest if the direction changes. In DIRECTIONS: the new direction. */
+/* Get the next direction. In REST: rest, if the direction changes. In DIRECTIONS: the new
+ * direction. */
 static bool next_direction(line_machine *m, uint32_t number, line_frame *out)
 {
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
     if (drive->state.stopping) {
-        return false; /* rest would take its brake off: it comes with the power-off */
+        return false; /* rest would release the brake: it comes with the power-off */
     }
     for (; drive->place < table->direction_count; drive->place++) {
         uint32_t wanted = line_direction_wanted(m, number, drive->place);
@@ -201,7 +203,7 @@ static bool next_exchange(line_machine *m, uint32_t number, line_frame *out)
         }
     }
     if (writing) {
-        drive->state.sent_motion = drive->cycle_motion; /* all acknowledged */
+        drive->state.sent_motion = drive->cycle_motion; /* all frames are acknowledged */
     }
     return false;
 }
@@ -299,7 +301,7 @@ static void direction_acknowledged(line_drive_state *drive, const line_machine *
                                                  : line_direction_wanted(m, number, drive->place);
     const line_frame *sent = direction_frame(m, number, drive->place, wanted);
     if (memcmp(sent->request, m->transaction.frame.request, sent->request_bytes) != 0) {
-        wanted = DIRECTION_UNKNOWN; /* the set-point has changed while it was sent */
+        wanted = DIRECTION_UNKNOWN; /* the set-point has changed during the sending */
     }
     drive->direction_sent[drive->place] = wanted;
     if (wanted == DIRECTION_FORWARD || wanted == DIRECTION_REVERSE) {
@@ -332,7 +334,7 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
     if (m->current != number) {
-        return; /* it was stopped while this was in transit */
+        return; /* the drive was stopped while this was in transit */
     }
     if (drive->stage == STAGE_REST || drive->stage == STAGE_DIRECTIONS) {
         direction_acknowledged(drive, m, number);
@@ -349,7 +351,8 @@ static void cycle_answered(line_machine *m, uint32_t number, const uint8_t *repl
     }
 }
 
-/* The frame in progress may belong to an older stop: it proves nothing about the newest one. */
+/* Whether the frame in progress belongs to the newest stop: an older one proves nothing about
+ * it. */
 static bool is_of_newest_stop(const line_machine *m, uint32_t number)
 {
     const line_frame *sent = &m->transaction.frame;
@@ -382,7 +385,7 @@ static void stop_frame_answered(line_machine *m, uint32_t number, const uint8_t 
 {
     line_drive_state *drive = &m->drive[number];
     bool reads = line_reads_power(m, number) && is_of_newest_stop(m, number);
-    /* it has left; whether it was received is unknown */
+    /* the frame has left; whether it was received is unknown */
     if (reads && m->transaction.frame.reply_bytes == 0) {
         drive->state.enabled = 2;
         drive->stop_sent |= 1U << drive->stop_place++;
@@ -402,7 +405,7 @@ static void stop_frame_failed(line_machine *m, uint32_t number, uint32_t failure
     drive->stop_failures++;
     if (failure == ANSWER_REFUSED && drive->stop_failures >= m->table.drive[number].tries) {
         drive->stop_refused |= is_of_newest_stop(m, number);
-        stop_frame_done(m, number); /* it responds and refuses: the next frame may work */
+        stop_frame_done(m, number); /* the drive responds and refuses: the next frame may work */
         drive->failures = 0;
     } else if (m->end.stage != END_NOT && is_of_newest_stop(m, number)) {
         drive->stop_sent |= 1U << drive->stop_place++;
@@ -422,7 +425,8 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
         line_begin_stop(m, number, drive_quick_stop(&drive->state, DRIVE_FAULT_LEFT_ALONE, now_ns),
                         now_ns);
     }
-    /* else it may answer a request that counted as failed: then the drive is late, not well */
+    /* else the answer may belong to a request that counted as failed: then the drive is late, not
+     * well */
     if (drive->owed_count == 0) {
         drive->failures = 0;
     }
@@ -476,7 +480,7 @@ void line_drive_failed(line_machine *m, uint32_t number, uint32_t failure, uint3
     }
     bool counts = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED ||
                   drive->state.stop != STOP_NOTHING;
-    /* it responds: send it the rest of its stop */
+    /* a drive that refuses responds: send it the rest of its stop */
     counts &= m->work != WORK_STOP || failure != ANSWER_REFUSED;
     if (counts && drive->failures >= table->tries) {
         line_becomes_unresponsive(m, number, now_ns);

@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_end.c: shuts a line down: all its drives come to rest, then lose their power, then the line
+ * line_end.c: the end of a line: all its drives come to rest, then lose their power, then the line
  * is silent. */
 #include "line_machine.h"
 
-/* Beyond the end's time: to send each drive its whole power-off once. A silent one may still
+/* Time beyond the end's limit to send each drive its whole power-off once. A silent drive may still
  * receive. */
 static const int64_t POWER_OFF_EXTRA_NS = 2500 * LINE_MS;
 
@@ -38,8 +38,8 @@ static bool reports_power(const line_exchange *turn)
     return false;
 }
 
-/* The first exchange that reads its power. Without one, the exchange that probes it: then only that
- * it receives can be known. */
+/* Return the first exchange that reads the drive's power; without one, the exchange that probes it:
+ * then only its reception can be known. */
 static uint32_t power_read(const line_drive *table)
 {
     for (uint32_t i = 0; i < table->cyclic_count + table->extra_count; i++) {

@@ -1,23 +1,23 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_fast.c: the fast sync read of Dynamixel protocol 2.0: all servos answer in one packet, each
- * with a block of its own: error, unit, data, and the check sum of all that came before it in the
- * packet. The first one sends the head, with the length of the whole, so nothing is stuffed. A
- * missing servo ends the packet for those behind it: then plain sync reads follow, which cost one
- * head a servo, and work without it. Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, fast sync
- * read; dynamixel-sdk 4.1, protocol2_packet_handler.py and group_sync_read.py. */
+ * line_fast.c: the fast sync read of Dynamixel protocol 2.0. All servos answer in one packet, each
+ * with a block of its own: error, unit, data, and the check sum of the packet so far. The first one
+ * sends the head, with the length of the whole, so nothing is stuffed. A missing servo ends the
+ * packet for those after it: then plain sync reads follow, which cost one head for each servo, and
+ * work without it. Source: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, fast sync read; dynamixel-sdk
+ * 4.1, protocol2_packet_handler.py and group_sync_read.py. */
 #include <string.h>
 
 #include "line_machine.h"
 
 enum {
-    UNIT_BYTE = 4, /* of a packet */
+    UNIT_BYTE = 4, /* position in a packet */
     LENGTH_BYTE = 5,
     INSTRUCTION_BYTE = 7,
     HEAD_BYTES = 8,
     STATUS = 0x55,
-    STATUS_DATA_BYTE = 9, /* of a servo's own status; with its check sum */
+    STATUS_DATA_BYTE = 9, /* position in a servo's own status, whose size includes its check sum */
     STATUS_BYTES = 11,
-    BLOCK_UNIT_BYTE = 1, /* of a block */
+    BLOCK_UNIT_BYTE = 1, /* position in a block */
     BLOCK_DATA_BYTE = 2,
     BLOCK_BYTES = 4, /* without data */
     ALL_UNITS = 0xFE,
@@ -33,13 +33,13 @@ static const line_frame *alone_of(const line_machine *m, uint32_t number)
     return &m->table.drive[number].cyclic[READ_TURN].frame;
 }
 
-/* The same number of bytes is read from all servos. */
+/* Return the number of bytes that are read, which is the same for all servos. */
 static uint32_t data_bytes(const line_machine *m)
 {
     return alone_of(m, 0)->reply_bytes - STATUS_BYTES;
 }
 
-/* A packet's bytes up to the end of so many blocks. */
+/* Return a packet's bytes up to the end of so many blocks. */
 static uint32_t end_of(const line_machine *m, uint32_t blocks)
 {
     return HEAD_BYTES + blocks * (BLOCK_BYTES + data_bytes(m));
@@ -71,7 +71,7 @@ uint32_t line_fast_request(line_machine *m, line_frame *packet)
 }
 
 /* ---------------------------------------------------------------------------- receiving */
-/* Where the packet begins; received_bytes: not yet. */
+/* Return the beginning of the packet; received_bytes: it has not come yet. */
 static uint32_t begin_of(const line_machine *m, uint32_t from, uint32_t whole)
 {
     const line_transaction *t = &m->transaction;
@@ -86,7 +86,7 @@ static uint32_t begin_of(const line_machine *m, uint32_t from, uint32_t whole)
     return t->received_bytes;
 }
 
-/* As if the servo had sent a status of its own. */
+/* Take a block as if the servo had sent its own status. */
 static void take_block(line_machine *m, uint32_t place, uint32_t at, int64_t now_ns)
 {
     line_transaction *t = &m->transaction;
@@ -114,7 +114,7 @@ void line_fast_look(line_machine *m, uint32_t from, int64_t now_ns)
     const line_transaction *t = &m->transaction;
     uint32_t whole = end_of(m, m->group.asked_count);
     uint32_t at = begin_of(m, from, whole), came = t->received_bytes - at;
-    /* the last check sum covers all blocks: the dynamixel-sdk checks no other */
+    /* the last check sum covers all blocks; the dynamixel-sdk checks no other */
     bool good = came >= whole && rtu_is_sealed(t->received + at, whole, SEAL_STUFFED);
     for (uint32_t i = 0; i < m->group.asked_count && end_of(m, i + 1) <= came; i++) {
         uint32_t number = m->group.asked[i], end = end_of(m, i + 1);
@@ -127,7 +127,7 @@ void line_fast_look(line_machine *m, uint32_t from, int64_t now_ns)
     }
 }
 
-/* Servos without this instruction never answer: it is tried less and less often. */
+/* End a read. Servos without this instruction never answer it: it is tried less and less often. */
 void line_fast_end(line_machine *m, bool all)
 {
     if (m->table.group.fast == 0 || m->group.asked_count == 0) {

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_group.c: the cycle of bus servos: one request carries the set-points of all and reads all,
+ * line_group.c: the cycle of bus servos. One request carries the set-points of all and reads all,
  * and each servo answers for itself. A servo that does not answer costs the others only the wait.
  * Nothing acknowledges a sync write: the next cycle, which comes in any case, repeats it, and stops
  * go to each drive alone. */
@@ -9,7 +9,7 @@
 
 enum { READ_TURN = 1 }; /* cyclic[1] */
 
-/* Where unit and length stand (Feetech protocol 0; Dynamixel protocol 2.0). */
+/* Positions of unit and length (Feetech protocol 0; Dynamixel protocol 2.0). */
 typedef struct {
     uint32_t unit;
     uint32_t length;
@@ -28,8 +28,8 @@ static bool is_member(const line_machine *m, uint32_t number)
 }
 
 /* ------------------------------------------------------------------------------ sending */
-/* A drive that rests without power needs no set-point; one that does not answer, and may turn,
- * gets its zero. */
+/* Whether a drive gets set-points. One that rests without power needs none; one that does not
+ * answer, and may turn, gets zero. */
 static bool gets_setpoints(const line_machine *m, uint32_t number)
 {
     const drive_state *state = &m->drive[number].state;
@@ -63,7 +63,7 @@ static line_frame packet_of(const line_machine *m, const uint8_t *head, uint32_t
     return packet;
 }
 
-/* Its length, now that all are in it, and its seal. */
+/* Set the packet's length, now that all drives are in it, and its seal. */
 static void finish(line_frame *packet, uint32_t head_bytes)
 {
     packet_form form = form_of(packet->request_seal);
@@ -119,8 +119,8 @@ static void read_all(line_machine *m, int64_t now_ns, line_frame *out)
     }
 }
 
-/* The drives' power is read at different times, so that their extra exchanges do not come all at
- * once. */
+/* Begin the drives' cycles. Their power is read at different times, so that their extra exchanges
+ * do not come all at once. */
 static void begin_members(line_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
@@ -158,7 +158,7 @@ int64_t line_group_wait_ns(const line_machine *m)
 }
 
 /* ---------------------------------------------------------------------------- receiving */
-/* Where replies may begin: after the echo of the request, if there is one. */
+/* Return the place where replies may begin: after the echo of the request, if there is one. */
 static uint32_t first_byte(const line_machine *m)
 {
     const line_transaction *t = &m->transaction;
@@ -167,8 +167,8 @@ static uint32_t first_byte(const line_machine *m)
     return m->echo != ECHO_NONE && memcmp(t->received, t->frame.request, same) == 0 ? sent : 0;
 }
 
-/* For this time, the exchange counts as one of this drive: its own request, and its wait for the
- * wire. */
+/* Count the exchange, for this time, as one of this drive, with its own request and its wait for
+ * the wire. */
 void line_group_end_member(line_machine *m, uint32_t number, uint32_t kind, const received *found,
                            int64_t now_ns)
 {
@@ -207,7 +207,7 @@ static void look_for(line_machine *m, uint32_t number, uint32_t from, int64_t no
                           &found, now_ns);
 }
 
-/* True: the exchange has ended. */
+/* Take bytes. True: the exchange has ended. */
 static bool is_over(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t now_ns)
 {
     line_transaction *t = &m->transaction;
@@ -229,7 +229,8 @@ static bool is_over(line_machine *m, const uint8_t *bytes, uint32_t count, int64
     return answered || full || collided || now_ns >= m->until_ns;
 }
 
-/* Whether a reply begins here; else where the next one begins, or where the bytes end. */
+/* Return the next place where a reply begins, or where the bytes end; *skip is the length of a
+ * reply that begins here. */
 static uint32_t next_taken(const line_machine *m, uint32_t at, uint32_t *skip)
 {
     uint32_t next = m->transaction.received_bytes;
@@ -242,7 +243,7 @@ static uint32_t next_taken(const line_machine *m, uint32_t at, uint32_t *skip)
     return next;
 }
 
-/* Bytes that belong to no reply; true: nor to a late one. */
+/* Sort the bytes that belong to no reply. True: they do not belong to a late one either. */
 static bool sort_rest(line_machine *m, int64_t now_ns)
 {
     uint64_t noise_bytes = m->noise_bytes;
@@ -310,7 +311,7 @@ void line_group_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     if (stamp_ns > 0) {
         line_read(m, number, &m->table.drive[number].cyclic[READ_TURN], reply, stamp_ns);
     }
-    /* it has answered the read right after its set-point */
+    /* the drive has answered the read right after its set-point */
     drive->state.sent_motion = drive->cycle_motion;
     m->group.answered |= 1U << number;
     line_publish(m, number);

@@ -7,12 +7,12 @@
 
 #include "line_machine.h"
 
-static const int64_t LATE_NS = 120 * LINE_MS;        /* after the request, at least */
+static const int64_t LATE_NS = 120 * LINE_MS;        /* least time after the request */
 static const int64_t SUSPICIOUS_NS = 2000 * LINE_MS; /* after a failure */
-/* closer than that, scheduling hides the difference */
+/* for smaller differences, scheduling hides them */
 static const int64_t TOO_SOON_NS = LINE_MS / 2;
 
-/* RFC 6298 with a host's scheduling in place of the clock's granularity */
+/* RFC 6298 with a host's scheduling instead of the clock's granularity. */
 static const int64_t DEADLINE_LEAST_NS = 10 * LINE_MS, GRANULARITY_NS = LINE_MS / 2;
 
 static uint32_t smaller(uint32_t a, uint32_t b)
@@ -39,7 +39,8 @@ static bool alike(const line_look *a, const line_look *b)
            memcmp(a->head, b->head, smaller(a->head_bytes, b->head_bytes)) == 0;
 }
 
-/* Of the reply that has just come; on a pseudo-terminal bytes take no time at all. */
+/* Return the turn-around of the reply that has just come; on a pseudo-terminal bytes take no
+ * time. */
 static int64_t turnaround_of(const line_machine *m, int64_t now_ns)
 {
     int64_t took_ns = now_ns - m->end_ns - line_reply_ns(m, &m->transaction.frame);
@@ -52,7 +53,7 @@ static int64_t late_ns(const line_machine *m, uint32_t number)
     return twice_ns > LATE_NS ? twice_ns : LATE_NS;
 }
 
-/* Drops those that are older than the one at `first`. */
+/* Drop the ones that are older than the one at `first`. */
 static void drop_before(line_drive_state *drive, uint32_t first)
 {
     drive->owed_count -= first;
@@ -75,7 +76,7 @@ static uint32_t place_of(const line_drive_state *drive, const line_look *look)
     return place;
 }
 
-/* Each unanswered one may make the next one later. */
+/* Return the end of the waiting time: each unanswered request may make the next reply later. */
 static int64_t until_ns(const line_machine *m, uint32_t number)
 {
     const line_drive_state *drive = &m->drive[number];
@@ -87,7 +88,7 @@ static int64_t until_ns(const line_machine *m, uint32_t number)
            line_reply_ns(m, &m->transaction.frame);
 }
 
-/* Drops those that cannot come any more at this time. */
+/* Drop the ones that cannot come any more at this time. */
 static void forget_old(line_drive_state *drive, int64_t now_ns)
 {
     for (uint32_t i = drive->owed_count; i > 0; i--) {
@@ -102,7 +103,7 @@ void line_owe(line_machine *m, uint32_t number)
     line_drive_state *drive = &m->drive[number];
     const line_frame *frame = &m->transaction.frame;
     if (frame->exact != 0 || frame->reply_bytes == 0) {
-        return; /* no request at all goes out until its late reply has passed */
+        return; /* no request at all goes out until the late reply has passed */
     }
     forget_old(drive, m->start_ns);
     line_owed owed = {.look = look_of(frame), .count = 1};
@@ -123,8 +124,8 @@ void line_owe(line_machine *m, uint32_t number)
     drive->failed_ns = m->end_ns;
 }
 
-/* A reply that repeats all of its request means the same for either of two equal requests, as long
- * as no other write may have come between them. */
+/* Whether both replies mean the same: one that repeats all of its request does for two equal
+ * requests, as long as no other write may have come between them. */
 static bool is_same_reply(const line_drive_state *drive, uint32_t place)
 {
     bool same = drive->owed[place].look.repeats;
@@ -144,7 +145,8 @@ bool line_may_be_late(const line_machine *m, uint32_t number, const line_frame *
            !is_same_reply(drive, place);
 }
 
-/* A drive that has just failed, and now answers in less than half of its shortest time so far. */
+/* Whether a drive that has just failed now answers in less than half of its shortest time so
+ * far. */
 static bool too_soon(const line_machine *m, uint32_t number, int64_t sample_ns)
 {
     const line_drive_state *drive = &m->drive[number];
@@ -152,13 +154,14 @@ static bool too_soon(const line_machine *m, uint32_t number, int64_t sample_ns)
     return suspicious && drive->least_ns > 0 && sample_ns < drive->least_ns / 2 - TOO_SOON_NS;
 }
 
-/* The same stop was answered more often than the drive had older answers to give: one of them is
- * its own. Without this rule the stop would be sent again and again, every answer would stay
- * doubtful, and no other drive would get a turn. */
+/* Whether the stop is proven. It was answered more often than the drive had older answers to give:
+ * one of the answers is its own. Without this rule the stop would be sent again and again, every
+ * answer would stay doubtful, and no other drive would get a turn. */
 static bool is_stop_proven(const line_machine *m, uint32_t number)
 {
     const line_drive_state *drive = &m->drive[number];
-    line_look look = look_of(&m->transaction.frame); /* it is in owed[]: its answer may be late */
+    line_look look = look_of(&m->transaction.frame); /* it is in owed[], because its answer may be
+                                                        late */
     return m->work == WORK_STOP && drive->stop_doubts >= drive->owed[place_of(drive, &look)].count;
 }
 
@@ -167,10 +170,10 @@ bool line_is_doubtful(line_machine *m, uint32_t number, int64_t now_ns)
     line_drive_state *drive = &m->drive[number];
     const line_frame *frame = &m->transaction.frame;
     if (frame->reply_bytes == 0 || frame->exact != 0 || m->work == WORK_PROBE) {
-        return false; /* a probe only needs to know that it responds */
+        return false; /* a probe only needs to show that the drive responds */
     }
     if (too_soon(m, number, turnaround_of(m, now_ns))) {
-        drive->least_ns = 0; /* once: it may have become faster */
+        drive->least_ns = 0; /* only once: the drive may have become faster */
         return true;
     }
     return line_may_be_late(m, number, frame, m->start_ns) && !is_stop_proven(m, number);
@@ -186,19 +189,21 @@ void line_settle(line_machine *m, uint32_t number, int64_t now_ns)
     line_look look = look_of(frame);
     forget_old(drive, m->start_ns);
     drop_before(drive, place_of(drive, &look));
-    if (drive->owed_count > 0) { /* of two equal ones, this was perhaps the older one's */
+    if (drive->owed_count > 0) { /* of two equal requests, this reply perhaps belongs to the older
+                                    one */
         line_owed still = drive->owed[0];
         drop_at(drive, 0);
         drive->owed[drive->owed_count++] = still;
         drive->owed[drive->owed_count - 1].until_ns = until_ns(m, number);
     } else {
-        int64_t sample_ns = turnaround_of(m, now_ns) + 1; /* 0 is: not known */
+        int64_t sample_ns = turnaround_of(m, now_ns) + 1; /* + 1, because 0 means: not known */
         drive->least_ns =
             drive->least_ns == 0 || sample_ns < drive->least_ns ? sample_ns : drive->least_ns;
     }
 }
 
-/* It responds; nothing more is known. Its cycle begins again after the silence. */
+/* Accept a reply as doubtful: the drive responds; nothing more is known. Its cycle begins again
+ * after the silence. */
 void line_doubt(line_machine *m, uint32_t number, int64_t now_ns)
 {
     line_drive_state *drive = &m->drive[number];
@@ -267,7 +272,7 @@ void line_stray(line_machine *m, const uint8_t *bytes, uint32_t count, int64_t n
     }
 }
 
-/* Bytes beside the answer, if there was one. The echo of the request is not noise. */
+/* Sort the bytes beside the answer, if there was one. The echo of the request is not noise. */
 void line_sort_received(line_machine *m, const received *verdict, int64_t now_ns)
 {
     const line_transaction *t = &m->transaction;
@@ -331,8 +336,8 @@ void line_learn_turnaround(line_machine *m, uint32_t number, int64_t now_ns)
     drive->usual_ns = drive->deadline_ns;
 }
 
-/* The middle of a usual exchange: even if the reply took longer, the value was taken after the
- * request's end, within the drive's shortest turn-around. */
+/* Return the middle of a usual exchange: even if the reply took longer, the value was measured
+ * after the request's end, within the drive's shortest turn-around. */
 int64_t line_stamp(const line_machine *m, uint32_t number, int64_t now_ns)
 {
     int64_t middle_ns = m->start_ns + (now_ns - m->start_ns) / 2;

@@ -63,7 +63,7 @@ static bool stops_wait(const line_machine *m)
     return waits;
 }
 
-/* Then no drive's answer is awaited longer than usual. */
+/* Shorten the wait if another stop waits: no drive's answer is awaited longer than usual then. */
 static void shorten_wait(line_machine *m, int64_t now_ns)
 {
     if (m->sent && m->worker < m->table.drive_count && stops_wait(m)) {
@@ -147,7 +147,7 @@ static void end_exchange(line_machine *m, uint32_t kind, const received *verdict
     m->worker = LINE_DRIVES_MAX;
 }
 
-/* Late replies, or the echo of the request, count as if nothing had come. */
+/* End without an answer. Late replies, or the echo of the request, count as nothing. */
 static void end_in_vain(line_machine *m, const received *verdict, int64_t now_ns)
 {
     uint64_t noise_bytes = m->noise_bytes;
@@ -157,7 +157,7 @@ static void end_in_vain(line_machine *m, const received *verdict, int64_t now_ns
     end_exchange(m, noise ? ANSWER_BAD_REPLY : ANSWER_NO_REPLY, verdict, now_ns);
 }
 
-/* An unresponsive drive that can be read: an echo must not make it look as if it were back. */
+/* Whether a read probes the unresponsive drive: an echo must not make it look responsive. */
 static bool will_read(const line_machine *m)
 {
     if (m->work != WORK_PROBE) {
@@ -167,7 +167,7 @@ static bool will_read(const line_machine *m)
     return table->probe > 0 || table->extra_count > 0;
 }
 
-/* Evaluates the bytes since the request. While it is unknown whether the adapter echoes, an answer
+/* Evaluate the bytes since the request. While it is unknown whether the adapter echoes, an answer
  * that equals its request is accepted: only reads decide (and set-ups are read back). */
 static received listen(line_machine *m, const uint8_t *bytes, uint32_t count)
 {
@@ -187,7 +187,7 @@ static received listen(line_machine *m, const uint8_t *bytes, uint32_t count)
     return found;
 }
 
-/* Any byte keeps the line busy: the gap counts from the last one. */
+/* Take bytes. Each one keeps the line busy: the gap counts from the last one. */
 static void receive(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint32_t count)
 {
     received verdict = {.kind = RECEIVED_MORE};
@@ -220,8 +220,8 @@ static void receive(line_machine *m, int64_t now_ns, const uint8_t *bytes, uint3
 }
 
 /* --------------------------------------------------------------------------- turns */
-/* Unresponsive drives, and those with doubtful answers, do not keep the others waiting, nor each
- * other: 0 comes first. */
+/* Return the rank for stops; 0 comes first. Unresponsive drives, and those with doubtful answers,
+ * do not keep others waiting, nor each other. */
 static uint32_t stop_rank(const line_drive_state *drive)
 {
     return drive->stop_doubts + (drive->failures > 0 ? 1 + drive->stop_failures : 0);
@@ -267,14 +267,14 @@ static int64_t due_of(const line_machine *m, uint32_t number)
 {
     const line_drive_state *drive = &m->drive[number];
     if (m->table.group.used != 0 && is_cyclic(m, number)) {
-        return drive->due_ns; /* set-points go out also while a reply is in doubt */
+        return drive->due_ns; /* set-points go out even while a reply is in doubt */
     }
     return is_cyclic(m, number)
                ? later(drive->due_ns, later(drive->silent_until_ns, drive->held_until_ns))
                : FAR_NS;
 }
 
-/* Earliest deadline first; among equals the first one. */
+/* Return the drive with the earliest deadline; among equals the first one. */
 static uint32_t most_due(const line_machine *m)
 {
     uint32_t best = LINE_DRIVES_MAX;
@@ -286,7 +286,7 @@ static uint32_t most_due(const line_machine *m)
     return best;
 }
 
-/* Whether it fits before the next one is due; at worst it takes this long. */
+/* Whether the exchange fits before the next one is due, if it takes its longest time. */
 static bool fits(const line_machine *m, const line_frame *frame, int64_t turnaround_ns,
                  int64_t now_ns, int64_t next_ns)
 {
@@ -301,7 +301,7 @@ static void spend_slot(line_machine *m, int64_t now_ns)
     m->slot_due_ns = later(m->slot_due_ns + m->slot_period_ns, now_ns);
 }
 
-/* From now on the queue cannot change or drop it. */
+/* Begin a request. From now on the queue cannot change or drop it. */
 static void begin_request(line_machine *m, uint32_t place, line_output *out)
 {
     const line_request *request = &m->request[place];
@@ -318,8 +318,8 @@ static void begin_probe(line_machine *m, uint32_t number, int64_t now_ns, line_o
     begin(m, WORK_PROBE, number, &frame, out);
 }
 
-/* The acyclic slot: an urgent request, else requests and probes by turns. `next_ns`: when the
- * next drive is due. */
+/* Take the acyclic slot: an urgent request, else requests and probes in turn. `next_ns`: time when
+ * the next drive is due. */
 static bool take_slot(line_machine *m, int64_t now_ns, int64_t next_ns, line_output *out)
 {
     bool mine = m->slot_due_ns <= now_ns && m->slot_due_ns <= next_ns;
@@ -378,7 +378,7 @@ static bool take_cycle(line_machine *m, int64_t now_ns, line_output *out)
 }
 
 /* ----------------------------------------------------------------------------- the step */
-/* After the stops, on a line that is never silent. */
+/* Send an urgent frame after the stops, on a line that is never silent. */
 static void take_urgent(line_machine *m, int64_t now_ns, line_output *out)
 {
     uint32_t place = line_pick_request(m, now_ns);
@@ -425,7 +425,7 @@ static void decide(line_machine *m, int64_t now_ns, line_output *out)
     } else if (m->end.stage < END_POWER_OFF) {
         (void)take_cycle(m, now_ns, out);
     } else {
-        line_shut_down(m, now_ns); /* all have confirmed it: done */
+        line_shut_down(m, now_ns); /* all drives have confirmed their power-off */
     }
 }
 
@@ -448,7 +448,7 @@ static int64_t next_look_ns(const line_machine *m, int64_t now_ns)
             wake_ns = earlier(wake_ns, later(probe_ns, m->slot_due_ns));
         }
         if (drive->state.stop != STOP_NOTHING) {
-            wake_ns = m->free_ns; /* stops wait for the gap alone, whatever the mode */
+            wake_ns = m->free_ns; /* stops wait only for the gap, in any mode */
         }
         wake_ns = earlier(wake_ns, due_of(m, i));
     }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_report.c: what a line reports. */
+ * line_report.c: the line's report. */
 #include "line_machine.h"
 
 void line_machine_report(const line_machine *m, line_report *report)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_requests.c: requests from outside the cycle that wait for the wire. The one on the wire
+ * line_requests.c: requests from outside the cycle that wait for the wire. The request on the wire
  * has left this queue. */
 #include <string.h>
 
@@ -35,7 +35,7 @@ void line_answer_request(line_machine *m, uint64_t id, uint32_t kind, int64_t no
     m->answered = true;
 }
 
-/* One a step: the thread takes them one by one. */
+/* Drop an expired request, one in each step: the thread takes answers one by one. */
 void line_expire_request(line_machine *m, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->request_count && !m->answered; i++) {

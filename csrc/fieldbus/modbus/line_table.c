@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_table.c: checks a line's table. With a good table nothing outside it is ever read or
+ * line_table.c: checks a line's table. With a good table, no memory outside it is ever read or
  * written. */
 #include <math.h>
 #include <string.h>
@@ -9,8 +9,8 @@
 
 static const int64_t PERIOD_MAX_NS = INT64_C(100000000000);
 
-/* Head, length and check sum, room for what stuffing adds, and a status that differs from all
- * others. */
+/* Check the packet's head, length and check sum, the room for stuffing, and that its status differs
+ * from all others. */
 static void check_packet(finding *f, const line_frame *frame)
 {
     bool stuffed = frame->request_seal == SEAL_STUFFED;
@@ -73,7 +73,8 @@ static bool is_form(uint32_t form)
     return form <= FORM_I32_LE || rtu_sign_of(form) != 0;
 }
 
-/* A number that does not fit its form would go out as another one, even with the opposite sign. */
+/* Check that all numbers fit the form: another one would go out as a wrong number, even with the
+ * opposite sign. */
 static void check_range(finding *f, const line_setpoint *setpoint)
 {
     bool form_has_sign = (setpoint->form & 1) != 0;
@@ -81,7 +82,7 @@ static void check_range(finding *f, const line_setpoint *setpoint)
            sign = (double)rtu_sign_of(setpoint->form);
     double least = form_has_sign ? -span / 2.0 : 0.0,
            most = form_has_sign ? span / 2.0 - 1.0 : span - 1.0;
-    if (sign > 0.0) { /* what is left of the magnitude: -0 is no number of its own */
+    if (sign > 0.0) { /* -0 is no separate number, so the magnitude has one less */
         least = 1.0 - sign, most = sign - 1.0;
     }
     check_span(f, setpoint->kind, setpoint->raw_offset, setpoint->raw_min, setpoint->raw_max,
@@ -145,7 +146,8 @@ static bool has_position(const line_exchange *turn)
     return false;
 }
 
-/* What holds a position is not sent while the drive may not move: nothing else may depend on it. */
+/* Check positions. A frame with one is not sent while the drive may not move: nothing else may
+ * depend on it. */
 static void check_positions(finding *f, const line_drive *drive)
 {
     for (uint32_t i = 0; !f->bad && i < drive->cyclic_count; i++) {

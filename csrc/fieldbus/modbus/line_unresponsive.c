@@ -1,15 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_unresponsive.c: what is sent to a drive that does not answer, and how often it is polled;
- * how long a stop waits on a line that is never silent. */
+ * line_unresponsive.c: the frames for a drive that does not answer, and how often it is polled; how
+ * long a stop waits on a line that is never silent. */
 #include <string.h>
 
 #include "line_machine.h"
 
-/* A stop that may collide is better than one that is never sent. */
+/* Time that a stop waits beyond its gap: a stop that may collide is better than one that is never
+ * sent. */
 static const int64_t URGENT_NOISE_NS = 20 * LINE_MS;
 static const int64_t PROBE_FIRST_NS = 100 * LINE_MS, PROBE_LAST_NS = 2000 * LINE_MS;
 
-/* Exchanges for a drive that is not armed; if the first one has a position, there are no others. */
+/* Return the number of exchanges for a drive that is not armed; if the first one has a position,
+ * 0. */
 static uint32_t zero_exchanges(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];
@@ -21,8 +23,8 @@ static uint32_t zero_exchanges(const line_machine *m, uint32_t number)
     return count;
 }
 
-/* A drive that may turn gets a stop: it may receive although its answers do not arrive, and reads
- * feed its watchdog. */
+/* Return the number of frames that stop a drive that may turn: it may receive although its answers
+ * do not arrive, and reads feed its watchdog. */
 static uint32_t stop_probes(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];
@@ -37,8 +39,8 @@ void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
     }
     drive_unresponsive(&drive->state);
     if (m->end.stage < END_POWER_OFF) {
-        drive->state.stop = STOP_NOTHING; /* its probes stop it; when the line ends there are none:
-                                             then it keeps its pending stop */
+        drive->state.stop = STOP_NOTHING; /* probes stop the drive; at the line's end there are
+                                             none, so it keeps its pending stop */
     }
     drive->stage = STAGE_IDLE;
     drive->probe_place = 0;
@@ -57,7 +59,8 @@ const line_exchange *line_exchange_at(const line_drive *table, uint32_t place)
                                        : &table->extra[place - table->cyclic_count];
 }
 
-/* The first exchange of the cycle may hold a position: used only if there is no other. */
+/* Return the exchange that probes. The first one of the cycle may hold a position: it is used only
+ * if there is no other. */
 uint32_t line_probe_place(const line_drive *table)
 {
     if (table->probe > 0) {
@@ -70,7 +73,7 @@ void line_build_read(line_machine *m, uint32_t number, uint32_t place, line_fram
 {
     const line_drive *table = &m->table.drive[number];
     if (place < table->cyclic_count) {
-        (void)line_build(m, number, place, out); /* with zeros: it is not armed */
+        (void)line_build(m, number, place, out); /* with zeros, because the drive is not armed */
     } else {
         *out = line_exchange_at(table, place)->frame;
     }

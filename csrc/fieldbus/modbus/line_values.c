@@ -9,11 +9,11 @@
 
 static const setpoints *source(const line_machine *m, uint32_t drive)
 {
-    /* where magnitude and direction go out one by one, both have to be of the same set-point */
+    /* if magnitude and direction go out one by one, both have to belong to the same set-point */
     return m->table.drive[drive].direction_count > 0 ? &m->drive[drive].frozen : &m->newest;
 }
 
-/* line_guard has taken ARMED back before, in this very step, where the set-points are old. */
+/* In this same step, line_guard has taken ARMED back before if the set-points are old. */
 static bool may_move(const line_machine *m, uint32_t drive)
 {
     return drive_may_move(&m->drive[drive].state, true, m->newest.enabled == 1);
@@ -33,7 +33,8 @@ static position_range range_of(const line_machine *m, uint32_t drive, const line
                             .window_ns = place_window_ns(m->table.setpoint_timeout_ns, period_ns)};
 }
 
-/* The requested target, as its request would carry it; NaN: no target, or it may not move. */
+/* Return the requested target in the numbers of its request; NaN: no target, or the joint may not
+ * move. */
 static double target_wanted(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
     double wanted_rad = may_move(m, drive)
@@ -42,7 +43,7 @@ static double target_wanted(const line_machine *m, uint32_t drive, const line_se
     return wanted_rad * setpoint->raw_per_si + setpoint->raw_offset;
 }
 
-/* The target that goes out; NaN: none. */
+/* Return the target that goes out; NaN: no target. */
 static double target_of(const line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
     const position_range range = range_of(m, drive, setpoint);
@@ -111,7 +112,7 @@ static int64_t raw_of(const line_machine *m, uint32_t drive, const line_setpoint
     return (int64_t)nearbyint(within_span(raw, setpoint->raw_min, setpoint->raw_max));
 }
 
-/* It regulates nothing: it is neither armed nor coming to rest, and cannot turn unnoticed. */
+/* Whether the drive is idle: neither armed nor coming to rest, so it cannot turn unnoticed. */
 static bool is_idle(const line_machine *m, uint32_t drive)
 {
     const line_drive_state *state = &m->drive[drive];
@@ -119,7 +120,7 @@ static bool is_idle(const line_machine *m, uint32_t drive)
            state->state.stop == STOP_NOTHING;
 }
 
-/* The next target begins at the one that is sent. */
+/* Note the target that is sent: the next one begins there. */
 static void note_position(line_machine *m, uint32_t drive, const line_setpoint *setpoint)
 {
     if (takes_position(setpoint)) {

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * arbiter.c: which lease is in command. The fresh one with the highest priority; among equals the
- * first. A lease that requests motion while nothing may move is held: its command counts as zero
- * until the lease has sent zero, or its command has lapsed. So a source that keeps sending through
- * a stop, or before arming, moves nothing. */
+ * arbiter.c: decides which lease is in command: the fresh one with the highest priority; among
+ * equals the first. A lease that requests motion while nothing may move is held: its command counts
+ * as zero until the lease has sent zero, or its command has lapsed. So a source that keeps sending
+ * through a stop, or before arming, moves nothing. */
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
@@ -20,22 +20,23 @@ _Static_assert(offsetof(command_datagram, lateral_m_s) == COMMAND_BYTES_PLANE,
 _Static_assert(offsetof(joint_datagram, velocity_rad_s) == offsetof(command_datagram, linear_m_s),
                "one head for both");
 
-/* The request of a datagram: a twist of a base, or a command for each joint without one. */
+/* The request in a datagram: a twist of a base, or a command for each joint without a base. */
 typedef struct {
     command_datagram twist;
     joint_command joints;
-    bool possible; /* it is possible, if it is finite */
+    bool possible; /* the robot can carry it out, if it is finite */
 } request;
 
 static const int64_t NS_PER_MS = 1000000;
 enum {
     BURST = 4,
     SMOOTH = 8
-}; /* commands that may come early; the newest interval counts 1/SMOOTH */
-/* A shorter one would lapse between two commands, and end the hold of a held lease. */
+}; /* commands that may come early; weight of the newest interval: 1/SMOOTH */
+/* Least lifetime. A shorter one would lapse between two commands, and end the hold of a held
+ * lease. */
 static const int64_t LIFETIME_LEAST_NS = 20000000;
-static const double OUT_OF_RANGE = 10.0; /* times the limit: a wrong unit or a broken program, not a
-                                            speed to scale down */
+static const double OUT_OF_RANGE = 10.0; /* times the limit: beyond it, a unit is wrong or a program
+                                            broken, and the speed is not scaled down */
 
 void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits)
 {
@@ -75,7 +76,7 @@ void arbiter_grant(arbiter *a, const lease_permissions *permissions)
     memcpy(a->report.lease, kept, sizeof kept);
 }
 
-/* Takes the same time for a right token and a wrong one. */
+/* Compare tokens, in the same time for a right token and a wrong one. */
 static bool same_token(const uint8_t *one, const uint8_t *other)
 {
     uint32_t differs = 0;
@@ -103,7 +104,7 @@ static int refuse(arbiter *a, command_refusal why)
     return 1 + (int)why;
 }
 
-/* Its lifetime; 0: not allowed. */
+/* Return the lifetime of a command; 0: it is not allowed. */
 static int64_t lifetime_ns(const lease_permission *grant, const command_datagram *command)
 {
     int64_t requested_ns = (int64_t)command->lifetime_ms * NS_PER_MS;
@@ -114,13 +115,15 @@ static int64_t lifetime_ns(const lease_permission *grant, const command_datagram
                                                                                    : 0;
 }
 
-/* 0 never belongs to a command: in a lease it means that none came. */
+/* Whether a command's number is new. 0 never belongs to a command: in a lease it means that none
+ * came. */
 static bool is_new(const lease_state *lease, uint64_t sequence)
 {
     return sequence != 0 && (lease->sequence == 0 || (int64_t)(sequence - lease->sequence) > 0);
 }
 
-/* The generic cell rate algorithm, ITU-T I.371: as many as are due, some of them early. */
+/* Whether a command comes too often, by the generic cell rate algorithm of ITU-T I.371: as many as
+ * are due, some of them early. */
 static bool too_often(const lease_permission *grant, lease_state *lease, int64_t now_ns)
 {
     if (grant->interval_least_ns == 0) {
@@ -144,8 +147,8 @@ static void measure_interval(lease_state *lease, int64_t now_ns)
     lease->taken_ns = now_ns;
 }
 
-/* Of two limits, which are numbers. Not fmax: its code page would have to be fetched at the first
- * command. */
+/* Return the larger of two limits, which are numbers. fmax would have to be fetched from a new code
+ * page at the first command. */
 static double larger(double a, double b)
 {
     return a > b ? a : b;
@@ -156,7 +159,7 @@ static bool takes_position(const arbiter *a, uint32_t j)
     return a->base->joint[j].position.used != 0;
 }
 
-/* A position is a request for motion wherever the joint is. */
+/* Whether a request wants motion. A position does, wherever the joint is. */
 static bool wants_motion(const arbiter *a, const request *wanted)
 {
     bool motion = wanted->twist.linear_m_s != 0.0 || wanted->twist.angular_rad_s != 0.0 ||
@@ -192,8 +195,8 @@ static bool joints_in_range(const arbiter *a, const joint_command *joints)
     return within;
 }
 
-/* The greater of the robot file's limit and the one in force counts: so a lowered limit does not
- * make commands invalid. */
+/* Whether a request is in range. The greater of the robot file's limit and the one in force
+ * decides: so a lowered limit does not make commands invalid. */
 static bool in_range(const arbiter *a, const request *wanted)
 {
     const command_datagram *command = &wanted->twist;
@@ -236,7 +239,7 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     if (life_ns == 0) {
         return refuse(a, REFUSED_LIFETIME);
     }
-    /* from the future, too: the sender has the same clock */
+    /* no stamp from the future either: the sender has the same clock */
     if (!fresh_stamp(now_ns, stamp_since(command->stamp_ns, a->resumed_ns), life_ns - 1)) {
         return refuse(a, REFUSED_AGE);
     }
@@ -250,7 +253,7 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     lease->since = alive(lease, now_ns) ? lease->since : ++a->comers;
     bool left_held = grant->barred_until_ns > lease->lifted_ns && now_ns < grant->barred_until_ns;
     bool barred = alive(lease, now_ns) ? lease->held != 0 : left_held;
-    lease->lifted_ns = grant->barred_until_ns; /* from now on it is in lease->held */
+    lease->lifted_ns = grant->barred_until_ns; /* from now on lease->held contains it */
     lease->sequence = command->sequence;
     lease->stamp_ns = command->stamp_ns;
     lease->expires_ns = command->stamp_ns + life_ns;
@@ -261,7 +264,7 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     lease->wants_motion = motion;
     lease->held = motion && (!may_move || barred);
     if (!good) {
-        lease->held = barred; /* it was not zero */
+        lease->held = barred; /* the command was not zero */
         return refuse(a, !finite             ? REFUSED_NOT_FINITE
                          : !wanted->possible ? REFUSED_JOINTS
                                              : REFUSED_OUT_OF_RANGE);
@@ -271,7 +274,7 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     return 0;
 }
 
-/* The datagram as a twist; missing fields stay zero. */
+/* Read the datagram as a twist; missing fields stay zero. */
 static bool read_form(const void *datagram, size_t bytes, command_datagram *command)
 {
     if (bytes != COMMAND_BYTES && bytes != COMMAND_BYTES_PLANE && bytes != JOINT_COMMAND_BYTES &&
@@ -297,8 +300,8 @@ static bool read_form(const void *datagram, size_t bytes, command_datagram *comm
     return command->kind == COMMAND_TWIST || command->kind == COMMAND_RELEASE;
 }
 
-/* In the newest form. Older forms have a velocity for each joint: only zero for a joint that takes
- * positions. */
+/* Read a joint command into its newest form. Older forms have a velocity for each joint: only zero
+ * is possible for a joint that takes positions. */
 static void read_joint_datagram(const arbiter *a, const void *datagram, size_t bytes,
                                 joint_position_datagram *found)
 {
@@ -313,7 +316,8 @@ static void read_joint_datagram(const arbiter *a, const void *datagram, size_t b
     }
 }
 
-/* False: one of them is not a joint here, or takes the other kind of set-point. */
+/* Read a command of joints without a base. False: one is not a joint here, or takes the other kind
+ * of set-point. */
 static bool read_independent(const arbiter *a, const joint_position_datagram *from,
                              joint_command *joints)
 {
@@ -330,7 +334,7 @@ static bool read_independent(const arbiter *a, const joint_position_datagram *fr
     return possible;
 }
 
-/* False: this base cannot do it. */
+/* Read wheel speeds. False: this base cannot drive them. */
 static bool read_wheels(const arbiter *a, joint_position_datagram *from, command_datagram *command)
 {
     double twist_u_s[AXES];
@@ -380,7 +384,7 @@ int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_n
     if (wanted.twist.kind == COMMAND_JOINTS) {
         read_joints(a, datagram, bytes, &wanted);
     } else if (a->base != NULL && a->base->independent) {
-        /* without a base only a twist of zero is possible */
+        /* without a base, only a twist of zero is possible */
         wanted.possible = !wants_motion(a, &wanted);
     }
     return take(a, place, &wanted, now_ns, may_move);
@@ -408,7 +412,7 @@ void arbiter_command(arbiter *a, int64_t now_ns, bool may_move, twist_command *o
     const lease_state *lease = commander(a, now_ns, may_move);
     a->report.may_move = may_move;
     a->report.commander = lease != NULL ? lease->number : 0;
-    *out = (twist_command){.stamp_ns = a->last_stamp_ns}; /* none: it has ended */
+    *out = (twist_command){.stamp_ns = a->last_stamp_ns}; /* no command: it has ended */
     if (lease == NULL) {
         return;
     }

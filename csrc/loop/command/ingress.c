@@ -13,7 +13,7 @@ static const int64_t NS_PER_S = 1000000000;
 
 bool ingress_wait(const ingress *in, int64_t until_ns)
 {
-    /* epoll_wait itself counts in milliseconds */
+    /* the timeout of epoll_wait itself is in milliseconds */
     struct pollfd any = {.fd = in->epoll_fd, .events = POLLIN};
     for (int64_t left_ns = until_ns - clock_now_ns(); left_ns > 0;
          left_ns = until_ns - clock_now_ns()) {
@@ -54,9 +54,9 @@ uint32_t ingress_take(const ingress *in, arbiter *a, bool may_move)
     return taken;
 }
 
-/* Owner, group and mode of the socket's file decide which programs may send; the kernel checks them
- * for each datagram. The credentials only name the sender. There is room for them alone: the kernel
- * drops descriptors in a message. */
+/* Receive a stop request. Owner, group and mode of the socket's file decide which programs may
+ * send; the kernel checks them for each datagram. The credentials only name the sender. There is
+ * room for them alone: the kernel drops descriptors in a message. */
 static ssize_t receive(int fd, void *datagram, size_t bytes, int32_t *pid)
 {
     union {

@@ -8,8 +8,8 @@
 #include "rt.h"
 
 typedef struct {
-    int epoll_fd; /* of datagram sockets, epoll(7); -1: no sockets */
-    int stop_fd;  /* -1: none */
+    int epoll_fd; /* an epoll(7) of datagram sockets; -1: no sockets */
+    int stop_fd;  /* -1: no socket */
 } ingress;
 
 typedef struct {
@@ -19,12 +19,12 @@ typedef struct {
     _Atomic int32_t pid;
 } stop_requests;
 
-/* Waits until the time, or until a datagram is there: true. */
+/* Wait until the time, or until a datagram has come. True: it has. */
 bool ingress_wait(const ingress *in, int64_t until_ns);
-/* Judges waiting datagrams, a bounded number from each socket, so that no source blocks another;
- * returns how many there were. */
+/* Take waiting datagrams, a limited number from each socket, so that no source blocks another.
+ * Returns their number. */
 uint32_t ingress_take(const ingress *in, arbiter *a, bool may_move);
-/* Counts waiting stop requests, a bounded number, too; returns how many there were. */
+/* Count waiting stop requests, a limited number, too. Returns their number. */
 uint32_t ingress_take_stops(const ingress *in, stop_requests *stops);
 
 #endif

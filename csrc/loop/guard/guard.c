@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * guard.c: when the emergency stop's contact stops the robot, and whether all threads work, so that
- * the watchdog's pin may change. Pure: time is an argument. */
+ * guard.c: decides when the emergency stop's contact stops the robot, and whether all threads work,
+ * so that the watchdog's pin may change. Pure: time is an argument. */
 #include "guard.h"
 
 #include <errno.h>
@@ -17,7 +17,7 @@ int guard_config_check(const guard_config *config)
     return good ? 0 : -EINVAL;
 }
 
-/* A contact that opens for less than a tick counts as open. */
+/* Return ESTOP_*. A contact that opens for less than a tick counts as open. */
 uint32_t estop_judge(const guard_config *config, const estop_reading *reading)
 {
     if (!reading->known) {
@@ -27,8 +27,8 @@ uint32_t estop_judge(const guard_config *config, const estop_reading *reading)
                                                                          : ESTOP_CLEAR;
 }
 
-/* A line with enabled drives has to keep working. A line that hangs counts until it works again,
- * even if the core has disabled it since: what its drives do is unknown. */
+/* Whether a line works. One with enabled drives has to. A line that hangs counts as hanging until
+ * it works again, even if the core has disabled it since: the state of its drives is unknown. */
 static bool line_lives(watchdog_state *state, const guard_config *config,
                        const watchdog_input *input, uint32_t line)
 {

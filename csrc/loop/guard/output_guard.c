@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * output_guard.c: the emergency stop's input and the watchdog's output by descriptors that were
- * opened before. Source: kernel, include/uapi/linux/gpio.h (v2) and
+ * output_guard.c: the emergency stop's input and the watchdog's output, by descriptors that the
+ * caller opened. Source: kernel, include/uapi/linux/gpio.h (v2) and
  * Documentation/userspace-api/gpio/gpio-v2-line-event-read.rst. */
 #include <errno.h>
 #include <linux/gpio.h>
@@ -12,7 +12,8 @@
 
 enum {
     EVENTS_A_TICK = 16
-}; /* of a contact that bounces: the kernel keeps this many, and the level shows the rest */
+}; /* events of a contact that bounces: the kernel keeps this many, and the level shows the
+      others */
 
 void guard_init(guard *g, const guard_config *config)
 {
@@ -25,9 +26,9 @@ void guard_init(guard *g, const guard_config *config)
     g->watchdog_errno = 0;
 }
 
-/* The events first: an edge that comes after them is in the level. The request is for one kind of
- * edge, so each event is such an edge: with both kinds the kernel reports an edge by the level that
- * it finds later, and a short pulse is lost. */
+/* Read the events first: a later edge is in the level. The request is for one kind of edge, so each
+ * event is such an edge: with both kinds the kernel reports an edge by the level that it finds
+ * later, and a short pulse is lost. */
 static estop_reading read_input(int fd)
 {
     estop_reading reading = {.known = true};

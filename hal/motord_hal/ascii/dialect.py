@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of text on a stream line: docs/mcu/line-ascii.md is their description."""
+"""Templates of the lines of text on a stream line. docs/mcu/line-ascii.md describes them."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from motord_hal.fieldbus.ports import JointSpec, LineSpec, TextSpec
 
 COUNT, VELOCITY, CURRENT, VOLTAGE = "_count", "_rad_s", "_current_a", "voltage_v"
 RIM_SPEED, RIM_DISTANCE = "_m_s", "_m"
-"""Of a wheel's rim: positive where the robot drives forward."""
+"""Speed and distance of a wheel's rim: positive where the robot drives forward."""
 GYRO_Z = "gyro_z_rad_s"
 
 
 def setpoint_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
-    """What a template of set-points may name: all joints, their rims' speeds, or the twist."""
+    """Return the fields that a set-point template may name: joints, rim speeds, or the twist."""
     return (*joints, *rim_fields(joints), LINEAR, ANGULAR)
 
 
@@ -27,7 +27,7 @@ def rim_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def feedback_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
-    """What a template of feedback may name."""
+    """Return the fields that a feedback template may name."""
     return (
         *(
             name + what
@@ -40,7 +40,8 @@ def feedback_fields(joints: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
-    """Raises ValueError for a template that lacks a field."""
+    """Check a set-point template. Raises ValueError unless its fields are all joints, all rim
+    speeds, or the twist."""
     sent = set(text.fields)
     if sent not in (set(joints), set(rim_fields(joints)), {LINEAR, ANGULAR}):
         each = f"{', '.join(joints)}, or {', '.join(rim_fields(joints))}"
@@ -48,8 +49,8 @@ def check_setpoints(text: Text, joints: tuple[str, ...]) -> None:
 
 
 def check_feedback(text: Text, joints: tuple[str, ...], scaled: Iterable[str] = ()) -> None:
-    """`scaled`: the fields that have a scale. Raises ValueError for a duplicate value, and for a
-    scale without its field."""
+    """Check a feedback template. `scaled` are the fields that have a scale. Raises ValueError for a
+    value that is there twice, and for a scale without its field."""
     for name in joints:
         for pair in ((COUNT, RIM_DISTANCE), (VELOCITY, RIM_SPEED)):
             if {name + what for what in pair} <= set(text.fields):
@@ -60,18 +61,19 @@ def check_feedback(text: Text, joints: tuple[str, ...], scaled: Iterable[str] = 
 
 
 def motor_rad_per_m(spec: TextSpec, joint: JointSpec) -> float:
-    """Angle of the motor's shaft for each metre that its wheel's rim goes forward."""
+    """Return the angle of the motor's shaft for each metre that the wheel's rim goes forward."""
     return (-1.0 if joint.inverted else 1.0) * joint.gear_ratio / spec.wheels[joint.name].radius_m
 
 
 def counts_per_m(spec: TextSpec, joint: JointSpec) -> float:
-    """Counts for each metre that its wheel's rim goes forward."""
+    """Return the counts for each metre that the wheel's rim goes forward."""
     turns_per_m = motor_rad_per_m(spec, joint) / (2.0 * math.pi)
     return spec.wheels[joint.name].counts_per_turn * turns_per_m
 
 
 def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:
-    """Raises ProfileError."""
+    """Return the line's text settings, its set-point template, and its feedback template or None.
+    Raises ProfileError if a template is missing or wrong."""
     names = tuple(joint.name for joint in spec.joints)
     if spec.text is None:
         raise ProfileError(f"{spec.name}: no template")
@@ -87,8 +89,8 @@ def texts_of(spec: LineSpec) -> tuple[TextSpec, Text, Text | None]:
 
 
 def why_not_possible(sent: Text, received: Text | None) -> str:
-    """What in the templates cannot be written or read, and what to write instead; empty:
-    nothing."""
+    """Return what in the templates cannot be written or read, and what to write instead; "": all
+    can."""
     for _, name, form in sent.parts:
         if name is not None and form[-1] not in "dfg":
             return (
@@ -105,7 +107,7 @@ def why_not_possible(sent: Text, received: Text | None) -> str:
 
 
 def text_bytes(spec: LineSpec) -> int:
-    """Bytes of the longer of both lines of text, with numbers of a usual size."""
+    """Return the size of the longer of both lines of text, with numbers of a usual size."""
     _, sent, received = texts_of(spec)
     size = len(spec.text.prefix if spec.text else "")
     size += len(sent.say(dict.fromkeys(sent.fields, -999.0)))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Templates of lines of text: `{left:.2f},{right:.2f}\\n` writes two numbers and reads them again.
 
-A template that is a JSON object, `{{"T":1,"L":{left:.3f}}}\\n` (braces of its own are doubled), is
-read as one: by the names of its members, in any order, and other members are skipped.
+A template that is a JSON object, `{{"T":1,"L":{left:.3f}}}\\n` (its own braces are doubled), is
+read by the names of its members, in any order. Other members are skipped.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Collection, Mapping
 LINE_BYTES_MAX = 256
 DEFAULT_FORMAT = ".3f"
 _MARK = "\0"
-"""Before a field in a JSON object, where no text has it."""
+"""Prefix that marks a field in a JSON object. No text contains it."""
 _FORMAT = re.compile(r"[+ ]?0?\d{0,2}(\.\d{1,2})?[dfg]?")
 _NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
 
@@ -44,7 +44,7 @@ class Text:
         self._check()
         self._pattern = re.compile(self._regex())
         self.members = self._members() if template.lstrip().startswith("{{") else {}
-        """Name → field or constant, of a JSON object; empty: the template is not a JSON object."""
+        """Member name → field or constant; empty: the template is not a JSON object."""
 
     def _check(self) -> None:
         if not self.fields:
@@ -59,7 +59,7 @@ class Text:
             raise ValueError(f"it makes lines of more than {LINE_BYTES_MAX} bytes")
 
     def _members(self) -> dict[str, str | float]:
-        """Raises ValueError."""
+        """Return the members of a JSON template. Raises ValueError if it is not valid."""
         marked = "".join(
             literal + ("" if name is None else json.dumps(_MARK + name))
             for literal, name, _ in self._parts
@@ -79,7 +79,8 @@ class Text:
         return members
 
     def _regex(self) -> str:
-        """Any white space matches any other; the ends do not matter."""
+        """Return the pattern of a line. Any white space matches any other; at the ends none is
+        needed."""
         parts = []
         for literal, name, _ in self._parts:
             words = re.split(r"\s+", literal)
@@ -89,7 +90,7 @@ class Text:
         return "".join(parts).removeprefix(r"\s+").removesuffix(r"\s+")
 
     def say(self, values: Mapping[str, float]) -> bytes:
-        """The text with these numbers; NaN and infinity are 0."""
+        """Return the text with these numbers. NaN and infinity become 0."""
         out = []
         for literal, name, spec in self._parts:
             out.append(literal)
@@ -100,11 +101,12 @@ class Text:
 
     @property
     def parts(self) -> tuple[tuple[str, str | None, str], ...]:
-        """Literal, then a field's name and format; no name after the last literal."""
+        """Parts of the template: literal, then a field's name and format; the last name may be
+        None."""
         return tuple(self._parts)
 
     def read(self, line: bytes) -> dict[str, float] | None:
-        """The numbers of a line; None: the line does not match."""
+        """Return the numbers in a line; None: the line does not match."""
         if self.members:
             return self._read_members(line)
         text = line.decode("ascii", errors="replace").strip()
@@ -143,8 +145,8 @@ def _check_field(name: str, spec: str, conversion: str | None, known: Collection
 
 
 class Lines:
-    """Cuts a stream of bytes at line ends. The first piece after `reset` may be half a line and is
-    dropped; so is a line that never ends."""
+    """Splitter of a stream of bytes at line ends. The first piece may be half a line and is
+    dropped; so is a line longer than LINE_BYTES_MAX."""
 
     def __init__(self) -> None:
         self._tail = bytearray()
@@ -152,13 +154,13 @@ class Lines:
 
     @classmethod
     def whole(cls, data: bytes) -> list[bytes]:
-        """The lines of a text that begins at a line's start."""
+        """Return the lines of a text that begins at a line's start."""
         lines = cls()
         lines.feed(b"\n")
         return lines.feed(data + b"\n")
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The lines that these bytes complete, without their ends and without empty ones."""
+        """Return the lines that these bytes complete, without their ends and without empty ones."""
         pieces = re.split(rb"[\r\n;]", data)
         lines = []
         for number, piece in enumerate(pieces):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wheel speeds as the base's two speeds, for boards that take those, and back.
+"""Conversion of wheel speeds to a base's two speeds and back, for boards that take those.
 
 Source: Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2: a differential base.
 """
@@ -14,7 +14,7 @@ LINEAR, ANGULAR = "v", "w"
 
 
 def twist_of(spec: TextSpec, wheel_rad_s: Mapping[str, float]) -> dict[str, float]:
-    """m/s and rad/s from the mean of each side."""
+    """Return v in m/s and w in rad/s, from the mean rim speed of each side."""
     sides: dict[float, list[float]] = {-1.0: [], 1.0: []}
     for name, wheel in spec.wheels.items():
         sides[wheel.side].append(wheel_rad_s[name] * wheel.radius_m)
@@ -26,7 +26,7 @@ def twist_of(spec: TextSpec, wheel_rad_s: Mapping[str, float]) -> dict[str, floa
 
 
 def wheels_of(spec: TextSpec, twist: Mapping[str, float]) -> dict[str, float]:
-    """Joint → rad/s of the wheel."""
+    """Return joint → rad/s of the wheel."""
     return {
         name: (twist[LINEAR] + wheel.side * twist[ANGULAR] * spec.track_m / 2.0) / wheel.radius_m
         for name, wheel in spec.wheels.items()

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines whose cycle runs in asyncio: what they share, whatever their wire."""
+"""Lines whose cycle runs in asyncio: the parts that do not depend on the wire."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive of a line in asyncio: its state, its jobs, and how it comes to rest.
+"""One drive of a line in asyncio: its state, its jobs, and how it is stopped.
 
-Its kind of line defines the frames on the wire.
+A subclass for each kind of line defines the frames on the wire.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ AnyPlan = TypeVar("AnyPlan", bound=Plan, covariant=True)
 
 
 class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
-    """State of one drive. All its methods run in the event loop; only those that the line's task
-    calls send."""
+    """State of one drive. All methods run in the event loop. Only methods that the line's task
+    calls send frames."""
 
     def __init__(
         self,
@@ -52,8 +52,8 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self.tries = max(joint.tries for joint in plan.joints)
         self.faults = {name: FaultWatch(name, plan.profile, say) for name in self.names}
         self.enabled_count = 0
-        """How often set-points had become enabled when it was armed. The count also shows an enable
-        that ended before the line read it."""
+        """Number of times that set-points had become enabled when the drive was armed. The count
+        also shows an enable that ended before the line read it."""
         self._exchange = exchange
         self._say = say
         self._setup = setup
@@ -62,31 +62,32 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._setpoint_timeout_s = spec.setpoint_timeout_s
         self._rest_velocity_rad_s = spec.rest_velocity_rad_s
         self._values: dict[str, int] = {}
-        """Register → the newest raw value."""
+        """Register → newest raw value."""
         self._rules = DriveRules()
         self._reported_unresponsive = False
         self._may_turn = False
-        """It has been armed since its last set-up, after which it was at rest and without power."""
+        """Whether the drive has been armed since its last set-up, which left it at rest without
+        power."""
 
     # --------------------------------------------------------------------------------- its own wire
     @abc.abstractmethod
     def opened(self) -> None:
-        """The medium is open; the drive's state is unknown."""
+        """Note that the medium is open. The drive's state is unknown."""
 
     @property
     @abc.abstractmethod
     def has_stopped_itself(self) -> bool:
-        """It got nothing for so long that its watchdog, if it has one, has bitten: the whole
-        process paused. A drive that cannot report this would start again with the next
+        """Whether the drive got nothing for so long that its watchdog, if it has one, has expired:
+        the whole process paused. A drive that cannot report this would start again with the next
         set-point."""
 
     @abc.abstractmethod
     def arming(self) -> Job:
-        """Zero in its set-points, then the profile's own steps."""
+        """Return the job that arms the drive: zero in its set-points, then the profile's steps."""
 
     @abc.abstractmethod
     async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
-        """All writes at once, ahead of all jobs. Returns those that have to be repeated. Raises
+        """Send all writes at once, ahead of all jobs. Return those that have to be repeated. Raises
         PortError."""
 
     # ---------------------------------------------------------------------------------- what it is
@@ -96,12 +97,12 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     @property
     def is_cycled(self) -> bool:
-        """Whether each cycle sends it its set-points."""
+        """Whether each cycle sends set-points to the drive."""
         return self.state in PRESENT
 
     @property
     def sent_motion(self) -> bool:
-        """As DriveRules.sent_motion."""
+        """Implement `DriveRules.sent_motion`."""
         return self._rules.sent_motion
 
     @sent_motion.setter
@@ -109,21 +110,21 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._rules.sent_motion = value
 
     def may_move(self, *, fresh: bool, enabled: bool) -> bool:
-        """Whether set-points that are not zero may go to it."""
+        """Whether set-points that are not zero may go to the drive."""
         return self._rules.may_move(fresh=fresh, enabled=enabled)
 
     def has_to_rest(self, wanted: Wanted) -> bool:
-        """It was sent motion, and the newest set-points are zero: the zero does not wait for its
-        cycle."""
+        """Whether the drive was sent motion and the newest set-points are zero: the zero then does
+        not wait for the next cycle."""
         return self._rules.has_to_rest(wants_motion=self.plan.wants_motion(wanted))
 
     @property
     def is_stopping(self) -> bool:
-        """A quick stop was sent, and the wheel has not been seen at rest since."""
+        """Whether a quick stop was sent and the wheel has not been seen at rest since."""
         return self._rules.is_stopping
 
     def lose(self, error: HalError) -> None:
-        """The medium is lost; the drive's state is unknown."""
+        """Note that the medium is lost. The drive's state is unknown."""
         self._forget(error)
         self._rules.request(Mode.OFF)
 
@@ -133,22 +134,22 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._values = {}
 
     def _forget_enabled(self) -> None:
-        """A step may have changed whether it is enabled: unknown until the next read."""
+        """Drop the value of "enabled", which a step may have changed, until the next read."""
         if self.plan.profile.enabled is not None:
             self._values.pop(self.plan.profile.enabled.register, None)
 
     def _hint(self) -> str:
-        """Other possible reasons for its silence, from its medium."""
+        """Return other possible reasons for the drive's silence, from its medium."""
         return ""
 
     def _answers(self) -> None:
-        """It answers: set it up. A drive that was unresponsive may still have power."""
+        """Set up the drive, which answers. A drive that was unresponsive may still have power."""
         was_unresponsive = self.state is DriveState.UNRESPONSIVE
         stop = self._rules.answers() if was_unresponsive else Stop.NOTHING
         self.configure(f"{self} is being configured", stop)
 
     def _becomes_unresponsive(self, error: HalError) -> bool:
-        """It sends nothing. Returns whether that is new, and was reported."""
+        """Mark the drive as unresponsive. Return whether that is new, and was reported."""
         self._forget(error)
         self._rules.unresponsive()
         if self._reported_unresponsive:
@@ -160,7 +161,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     # ------------------------------------------------------------------------------------- feedback
     def _put_feedback(self, joint: JointSpec, reading: Reading, stamp_ns: int) -> None:
-        """Hand it to the core, and report new faults."""
+        """Hand the reading to the core, and report new faults."""
         faults = self.faults[joint.name]
         faults.update(reading.fault_word)
         self._exchange.put_feedback(
@@ -177,8 +178,8 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         )
 
     def _judge_power(self, enabled: bool | None) -> None:
-        """It has reported whether it is enabled. Armed but without power: it has lost its power.
-        Not armed but with power: a power-off was lost or refused."""
+        """Check what the drive reports as enabled. Armed but not enabled: it has lost its power.
+        Not armed but enabled: a power-off was lost or refused."""
         before = self._rules.fault_reasons
         stop = self._rules.check_power(enabled, self.tries, settled=not self.jobs)
         if stop is Stop.NOTHING:
@@ -198,17 +199,17 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         return abs(velocity_rad_s) < self._rest_velocity_rad_s
 
     def _end_stopping(self, *, at_rest: bool) -> None:
-        """The power goes off at the end of a quick stop."""
+        """Remove the power if the quick stop has ended."""
         if self._rules.end_stopping(now_ns(), at_rest=at_rest) is not Stop.NOTHING:
             self._take_power()
 
     def _take_power(self) -> None:
-        """Remove its power; no caller waits for that."""
+        """Queue a power-off. No caller waits for it."""
         self._submit_power_off()
 
     # ------------------------------------------------------------------------------------ its jobs
     def submit(self, job: Job) -> Job:
-        """Queue a job; an urgent one goes ahead of the others."""
+        """Queue a job. An urgent one goes ahead of the others."""
         if job.urgent:
             self.jobs.appendleft(job)
         else:
@@ -221,8 +222,8 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
 
     def configure(self, why: str, stop: Stop = Stop.NOTHING) -> None:
         """Discard the drive's values, and set it up again. It ends READY, never ARMED. A power-off
-        goes first if one is pending, or if the rules demand one: by the `stop` that they have
-        returned, or now."""
+        goes first if one is pending, or if the rules demand one: in `stop`, which they returned
+        earlier, or now."""
         pending = [job for job in self.jobs if job.name == "disarm"]
         for job in pending:
             self.jobs.remove(job)
@@ -268,7 +269,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
     # ------------------------------------------------------------------------------------ stopping
     async def guard(self, *, fresh: bool, enabled: bool, enabled_count: int) -> None:
         """Check the newest set-points. A stop that they demand goes out ahead of everything else.
-        For the line's task. Raises PortError."""
+        Only the line's task may call this. Raises PortError."""
         stop = self._rules.guard(
             now_ns(),
             fresh=fresh,
@@ -282,57 +283,60 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             await self.power_off()
 
     async def take_over(self) -> None:
-        """In place of `opened`, if another program left it running: stop it as if it had been armed
-        here. Raises PortError."""
+        """Stop a drive that another program left running, as if it had been armed here. This
+        replaces `opened`. Raises PortError."""
         self._may_turn = True
         await self.quick_stop()
 
     async def quick_stop(self) -> None:
-        """Stop now, ahead of everything else; the power goes off when the wheel is at rest. For the
-        line's task. Raises PortError."""
+        """Stop now, ahead of everything else. The power goes off when the wheel is at rest. Only
+        the line's task may call this. Raises PortError."""
         self._disarmed()
         self._rules.quick_stop(now_ns())
         await self._send_now("quick_stop", self.plan.profile.quick_stop)
 
     async def power_off(self) -> None:
-        """Power off now, ahead of everything else. For the line's task. Raises PortError."""
+        """Remove the power now, ahead of all else. Only the line's task may call this. Raises
+        PortError."""
         self._powerless()
         await self._send_now("disarm", self.plan.profile.disarm)
 
     async def send_power_off(self) -> bool:
-        """As power_off, but only once. False: some of it is not confirmed."""
+        """Send the power-off once. Return False if some of it is not confirmed."""
         self._powerless()
         return not await self._write_now(self.plan.profile.disarm)
 
     @property
     def may_report(self) -> bool:
-        """It was sent its last power-off, and still answers, so it can report that it has no
-        power."""
+        """Whether the drive was sent its last power-off and still answers, so that it can report
+        that it has no power."""
         return False
 
     async def _send_now(self, name: str, steps: Sequence[Step]) -> None:
-        """Steps that fail become a job, unless the drive is unresponsive: then it is probed."""
+        """Send the steps. Failed ones become a job, except on an unresponsive drive: it is
+        probed."""
         left = await self._write_now(steps)
         if left and self.state is not DriveState.UNRESPONSIVE:
             self.submit(Job(name, left, urgent=True))
 
     def _powerless(self) -> None:
-        """Its power is switched off, whether it was stopping or not."""
+        """Note that the drive's power is switched off, whether it was stopping or not."""
         self._disarmed()
         self._drop_quick_stop()
         self._rules.power_off()
 
     def stand_down(self) -> Job:
-        """Zero from now on, power off with the next slot. For any task."""
+        """Set all set-points to zero from now on, and queue the power-off. Any task may call
+        this."""
         self._disarmed()
         return self._submit_power_off()
 
     def _disarmed(self) -> None:
-        """From now on every set-point of this drive is zero."""
+        """Make every set-point of this drive zero from now on."""
         self._rules.request(Mode.STAND_DOWN)
         self._drop_all("arm", f"{self}: stopped while it was being armed")
 
     def _drop_quick_stop(self) -> None:
-        """After the power-off, a quick stop that commands zero speed would switch the power on
-        again."""
+        """Drop a pending quick stop. After the power-off, one that commands zero speed would switch
+        the power on again."""
         self._drop_all("quick_stop", f"{self}: its power is switched off")

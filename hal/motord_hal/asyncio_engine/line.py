@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A line whose cycle runs in asyncio: its start, its set-points, its end.
 
-One task sends, for all drives. A kind of line defines its wire: how it is opened, what a cycle
-sends, and how long a job takes.
+One task sends, for all drives. A subclass for each kind of line defines the wire: how it is opened,
+what a cycle sends, and how long a job takes.
 """
 
 from __future__ import annotations
@@ -28,28 +28,29 @@ from motord_hal.realtime.exchange import Exchange, is_fresh
 
 SHUTDOWN_WITHIN_S = 0.5
 SHUTDOWN_STOPPING_S = 0.35
-"""The wheels have this part of it to come to rest; then the power goes off anyway."""
+"""Part of SHUTDOWN_WITHIN_S that the wheels have to come to rest before the power goes off
+anyway."""
 POWER_OFF_WITHIN_S = 2.5
-"""Time to send each drive its whole power-off once, also beyond SHUTDOWN_WITHIN_S: a silent drive
+"""Time to send each drive its whole power-off once, even beyond SHUTDOWN_WITHIN_S: a silent drive
 may still receive."""
 REPORT_WITHIN_S = 0.5
-"""Beyond SHUTDOWN_WITHIN_S: time for a drive that answers to report that it has no power."""
+"""Time beyond SHUTDOWN_WITHIN_S for a drive that answers to report that it has no power."""
 STOPPING_CYCLE_S = 0.01
 LOOK_EVERY_S = 0.02
-"""Between cycles: how often the line checks for a stop that does not wake it, because the loop has
-died, or asyncio has disarmed a drive."""
+"""Interval, between cycles, at which the line checks for a stop that does not wake it: the core's
+loop has died, or asyncio has disarmed a drive."""
 JOB_ALLOWANCE_S = 1.0
-"""A caller that waits for jobs waits so much longer than they can take on the wire: the event loop
-may be late. Nothing moves meanwhile: a drive that is not armed gets zero, or nothing."""
+"""Time that a caller waits for jobs beyond their longest time on the wire: the event loop may be
+late. Nothing moves meanwhile: a drive that is not armed gets zero, or nothing."""
 
 AnyDrive = TypeVar("AnyDrive", bound=AsyncioDrive[Plan])
 
 
 class AsyncioLine(DriveLine[AnyDrive]):
-    """ports.Line, engine "asyncio"."""
+    """`ports.Line` for the engine "asyncio"."""
 
     unresponsive_text = "no answer"
-    """Why drives may not get their last power-off though the medium is open."""
+    """Why drives may not get their last power-off although the medium is open."""
 
     def __init__(
         self, spec: LineSpec, exchange: Exchange, listener: Listener, period_s: float
@@ -61,7 +62,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         self._woken = asyncio.Event()
         self._early = EarlyShare()
         self._handed: dict[AnyDrive, Wanted] = {}
-        """What the newest cycle was to send."""
+        """Set-points that the newest cycle was to send."""
 
     @property
     def engine(self) -> str:
@@ -70,25 +71,24 @@ class AsyncioLine(DriveLine[AnyDrive]):
     # --------------------------------------------------------------------------------- its own wire
     @abc.abstractmethod
     async def _open_wire(self) -> None:
-        """Open it, with a deadline. Raises PortError."""
+        """Open the wire, with a deadline. Raises PortError."""
 
     @abc.abstractmethod
     def _look(self) -> None:
-        """Take in what came without a request: before each cycle, and at times between two. Raises
+        """Take in what came without a request, before each cycle and at times between two. Raises
         PortError."""
 
     @abc.abstractmethod
     async def _cycle(self) -> None:
-        """Send to all drives, receive from them, and let them go on with their jobs. Raises
-        PortError."""
+        """Send to all drives, receive from them, and advance their jobs. Raises PortError."""
 
     @abc.abstractmethod
     async def _cycle_at_rest(self, drives: Sequence[AnyDrive]) -> None:
-        """Send zero to these drives, receive, and let time pass. Raises PortError."""
+        """Send zero to these drives, receive, and wait a while. Raises PortError."""
 
     @abc.abstractmethod
     def _limit_s(self, jobs: Sequence[Job]) -> float:
-        """How long these jobs, begun now, take on the wire at worst."""
+        """Return the longest time that these jobs, begun now, take on the wire."""
 
     # ------------------------------------------------------------------------------------ the task
     async def _open_medium(self) -> str:
@@ -96,7 +96,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         return f"{self.spec.name} is open on {self.spec.port}"
 
     async def _work(self) -> None:
-        """Cycle for ever, once a period at most; a late cycle is not caught up. Raises
+        """Run cycles for ever, once a period at most. A late cycle is not caught up. Raises
         PortError."""
         for drive in self._drives:
             if self.spec.left_running:
@@ -120,7 +120,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
                 await self._wait_for_cycle(due_s)
 
     async def _wait_for_cycle(self, due_s: float) -> None:
-        """Wait until it is due. New set-points and a stop do not wait for it on a slow line."""
+        """Wait until the next cycle is due. On a slow line, new set-points and a stop end the
+        wait."""
         await asyncio.sleep(0)  # let the event loop run, even if the next cycle is late
         while now_s() < due_s and not any(self._has_to_stop(drive) for drive in self._drives):
             if self._woken.is_set() and self._begins_early():
@@ -131,7 +132,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
             self._look()
 
     def _begins_early(self) -> bool:
-        """Something new is to be sent to a drive that may move."""
+        """Whether something new is to be sent to a drive that may move."""
         self._woken.clear()
         new = any(
             drive.state is DriveState.ARMED and self._newest(drive) != self._handed.get(drive)
@@ -144,12 +145,12 @@ class AsyncioLine(DriveLine[AnyDrive]):
 
     # ------------------------------------------------------------------------------------- safety
     def _wanted(self, drive: AnyDrive) -> Wanted:
-        """The set-points that a cycle sends."""
+        """Return the set-points to send in this cycle, and remember them."""
         self._handed[drive] = self._newest(drive)
         return self._handed[drive]
 
     def _newest(self, drive: AnyDrive) -> Wanted:
-        """The newest set-points, or nothing at all: the drive then gets zero."""
+        """Return the newest set-points; empty if the drive may not move: it then gets zero."""
         newest = self._exchange.take_setpoints(self.spec.index)
         good = is_fresh(newest.stamp_ns, self.spec.setpoint_timeout_s)
         if not drive.may_move(fresh=good, enabled=newest.enabled):
@@ -161,7 +162,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
         }
 
     async def _obey_setpoints(self) -> None:
-        """Old set-points: quick stop. Not enabled any more: power off. Both before all else."""
+        """Stop armed drives before all else: a quick stop for old set-points, a power-off for
+        disabled."""
         armed = [drive for drive in self._drives if drive.state is DriveState.ARMED]
         if not armed:
             return
@@ -172,8 +174,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
             await drive.guard(fresh=good, enabled=newest.enabled, enabled_count=count)
 
     async def _shut_down(self) -> None:
-        """Quick stop, then power off, on every drive. The power-off goes out however the stop
-        ended, even by a bug of this program."""
+        """Send a quick stop, then a power-off, to every drive. The power-off goes out however the
+        stop ended, even by a bug of this program."""
         # an unresponsive drive may still receive it, but must not keep the others waiting
         left = sorted(self._drives, key=lambda drive: drive.state is DriveState.UNRESPONSIVE)
         end_s = now_s() + SHUTDOWN_WITHIN_S
@@ -185,8 +187,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
             await self._switch_all_off(left, end_s)
 
     async def _switch_all_off(self, left: list[AnyDrive], end_s: float) -> None:
-        """Each once, then again until each has confirmed it, or time is up. A drive that has
-        confirmed it is removed from `left`."""
+        """Send each drive its power-off, then again until each has confirmed it or time is up. A
+        drive that has confirmed it is removed from `left`."""
         why = self.unresponsive_text
         try:
             async with within(POWER_OFF_WITHIN_S):
@@ -211,7 +213,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         await self._switch_each_off(left)
 
     async def _switch_each_off(self, left: list[AnyDrive]) -> None:
-        """Once, to all of them, even if a bug with one raises. Raises PortError."""
+        """Send one power-off to each drive, even if a bug with one raises. Raises PortError."""
         async with contextlib.AsyncExitStack() as each:
             for drive in reversed(left):
                 each.push_async_callback(self._try_to_switch_off, drive, left)
@@ -221,7 +223,8 @@ class AsyncioLine(DriveLine[AnyDrive]):
             left.remove(drive)
 
     async def _come_to_rest(self, drives: Sequence[AnyDrive]) -> None:
-        """Quick stop, until the wheels rest or SHUTDOWN_STOPPING_S is over. Raises PortError."""
+        """Send quick stops, and wait until the wheels rest, SHUTDOWN_STOPPING_S at most. Raises
+        PortError."""
         rest_by_s = now_s() + SHUTDOWN_STOPPING_S
         for drive in drives:
             if drive.state is DriveState.ARMED:
@@ -249,7 +252,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         await self._finish(jobs)
 
     async def read_register(self, joint: str, register: str) -> float:
-        """As ports.Line.read_register."""
+        """Implement `ports.Line.read_register`."""
         drive = self._drive_of(joint)
         found = readable(drive.plan.profile, register)
         self._check_open()
@@ -258,7 +261,7 @@ class AsyncioLine(DriveLine[AnyDrive]):
         return found.to_si(job.raw)
 
     async def write_register(self, joint: str, register: str, value: float) -> float:
-        """As ports.Line.write_register."""
+        """Implement `ports.Line.write_register`."""
         drive = self._drive_of(joint)
         steps = write_steps(drive.plan.profile, register, value)
         self._check_open()
@@ -267,8 +270,9 @@ class AsyncioLine(DriveLine[AnyDrive]):
         return drive.plan.profile.registers[register].to_si(job.raw)
 
     async def _finish(self, jobs: Sequence[Job]) -> None:
-        """Wait for all; raise the first HalError, or NoReply when it takes too long. A caller that
-        gives up withdraws them, except urgent ones: power goes off also when no caller waits."""
+        """Wait for all jobs. Raises the first HalError, or NoReply when they take too long. A
+        caller that gives up withdraws its jobs, except urgent ones: power goes off even if no
+        caller waits."""
         limit_s = JOB_ALLOWANCE_S + self._limit_s(jobs)
         waits = [asyncio.shield(job.done) if job.urgent else job.done for job in jobs]
         try:

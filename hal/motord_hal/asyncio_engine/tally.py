@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a line counts of its cycles and round trips."""
+"""Counters and statistics of a line's cycles and round trips."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ ROUND_TRIPS_KEPT = 2000
 
 
 class CycleTally:
-    """Cycles since the start, and how fast the newest ones were."""
+    """Number of cycles since the start, and the rate of the newest ones."""
 
     def __init__(self) -> None:
         self.count = 0
         self._starts_s: deque[float] = deque(maxlen=CYCLES_KEPT)
 
     def begin(self) -> None:
-        """A cycle begins now."""
+        """Count a cycle that begins now."""
         self.count += 1
         self._starts_s.append(now_s())
 
     @property
     def rate_hz(self) -> float:
-        """0: not known yet."""
+        """Cycles a second; 0: not known yet."""
         starts = self._starts_s
         span_s = starts[-1] - starts[0] if len(starts) > 1 else 0.0
         return (len(starts) - 1) / span_s if span_s > 0 else 0.0
 
 
 class RoundTripTally:
-    """The newest round trips."""
+    """Durations of the newest round trips."""
 
     def __init__(self) -> None:
         self._trips_s: deque[float] = deque(maxlen=ROUND_TRIPS_KEPT)
@@ -42,7 +42,7 @@ class RoundTripTally:
         self._trips_s.append(trip_s)
 
     def percentiles(self) -> RoundTrips:
-        """Zeros without round trips."""
+        """Return the percentiles of the round trips; zeros if there are no round trips."""
         ordered_s = sorted(self._trips_s)
         if not ordered_s:
             return RoundTrips()

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clock, errors, back-off and files; imports nothing else of ours."""
+"""Clock, errors, back-off and files. It imports no other package of motord."""

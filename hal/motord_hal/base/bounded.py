@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that people write, read within limits: no file, however long or deep, crashes a program or
-keeps it busy."""
+"""Reading of files that people write, within limits: no file, however long or deeply nested,
+crashes the program or keeps it busy."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 TOML_BYTES_MAX = 256 * 1024
-"""Ten times the longest robot file that is known."""
+"""Limit for TOML files: ten times the longest robot file that is known."""
 DESCRIPTION_BYTES_MAX = 16 * 1024 * 1024
-"""Of DBC and EDS files."""
+"""Limit for DBC and EDS files."""
 DEPTH_MAX = 16
-"""Of nested brackets, and of the parts of a dotted key; robot files need 4."""
+"""Limit for nested brackets, and for the parts of a dotted key. Robot files need 4."""
 WORD_MAX = 200
-"""Characters of a number, or of a part of a key without quotes."""
+"""Greatest number of characters in a number, or in a part of a key without quotes."""
 
 TOKEN = re.compile(
     r'(?P<skip>[ \t\r]+|\#[^\n]*)|(?P<text>"""(?:\\.|[^\\])*?"{3,5}|\'\'\'.*?\'{3,5}'
@@ -29,7 +29,7 @@ TOKEN = re.compile(
 
 
 def read(path: Path, bytes_max: int = TOML_BYTES_MAX) -> bytes:
-    """All of a file. Raises OSError, also for a file that is too long or does not exist."""
+    """Read a whole file. Raises OSError, also if the file is too long or does not exist."""
     if "\0" in str(path):
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), str(path))
     with path.open("rb") as file:
@@ -40,8 +40,9 @@ def read(path: Path, bytes_max: int = TOML_BYTES_MAX) -> bytes:
 
 
 def toml(text: str) -> dict[str, Any]:
-    """As tomllib.loads, which recurses, and takes time with the square of a key's parts and of a
-    number's digits. Raises TOMLDecodeError for what is too deep or too long as well."""
+    """Parse TOML. Unlike tomllib.loads alone, which recurses and needs time with the square of a
+    key's parts and of a number's digits, it raises TOMLDecodeError also for what is too deep or too
+    long."""
     line, problem = 1, ""
     brackets = parts = 0
     for match in TOKEN.finditer(text):

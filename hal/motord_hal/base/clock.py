@@ -11,17 +11,17 @@ NS_PER_S = 1_000_000_000
 
 
 def now_s() -> float:
-    """CLOCK_MONOTONIC in seconds: what asyncio's own timers run on."""
+    """Return CLOCK_MONOTONIC in seconds, the clock of asyncio's timers."""
     return time.monotonic()
 
 
 def now_ns() -> int:
-    """CLOCK_MONOTONIC in nanoseconds: what stamps are made of."""
+    """Return CLOCK_MONOTONIC in nanoseconds, the clock of all stamps."""
     return time.monotonic_ns()
 
 
 async def sleep_until_s(deadline_s: float) -> None:
-    """Return at or after `deadline_s`, never before it; at once when it is past."""
+    """Return at or after `deadline_s`, never before it; at once if it is past."""
     if (left_s := deadline_s - now_s()) > 0:
         await asyncio.sleep(left_s)
 
@@ -53,7 +53,7 @@ class _Within:
 
 
 def within(limit_s: float) -> _Within:
-    """asyncio.timeout, also for a cancelled task that cleans up: until Python 3.11.3 (Debian 12 has
-    3.11.2) CancelledError comes out of it there instead of TimeoutError, and all that was to follow
-    is left out. Source: github.com/python/cpython/issues/102780."""
+    """Limit the time of a block like asyncio.timeout, also in a cancelled task that cleans up.
+    There, until Python 3.11.3 (Debian 12 has 3.11.2), CancelledError comes out of it instead of
+    TimeoutError, and the rest is left out. Source: github.com/python/cpython/issues/102780."""
     return _Within(asyncio.timeout(limit_s))

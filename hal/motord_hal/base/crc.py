@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of check sums."""
+"""Tables of CRC check sums."""
 
 from __future__ import annotations
 
 
 def reflected_table(polynomial: int) -> tuple[int, ...]:
-    """The table by byte, for a CRC with the low bit first; the polynomial in the same order."""
+    """Return the table by byte for a CRC with the low bit first. `polynomial` is in the same
+    order."""
     rows = []
     for byte in range(256):
         crc = byte

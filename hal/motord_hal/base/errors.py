@@ -1,24 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong on a wire, sorted by what you can do about it.
+"""Errors of the hardware layer, sorted by what you can do about them.
 
     HalError
     ├── PortError        the port is absent, busy or was pulled: check cable, path and owner
     ├── NoReply          (also TimeoutError) a drive sent nothing in time: power, unit id, baud rate
-    ├── BadReply         something came that is not the answer: noise, wrong unit id, two masters
+    ├── BadReply         bytes came that are not the answer: noise, wrong unit id, two masters
     ├── Refused          the drive understood and refused (Modbus exception): profile or drive state
     ├── DriveFault       the drive reports a fault of its own: its manual, then reset
-    └── ProfileError     the drive profile cannot be used: mend the file
+    └── ProfileError     the drive profile cannot be used: correct the file
 
-Every message has what happened, where, and the numbers.
+Every message states what happened, where, and the numbers.
 """
 
 
 class HalError(Exception):
-    """Anything that the hardware layer reports."""
+    """Base class of all errors that the hardware layer reports."""
 
 
 class PortError(HalError):
-    """The port cannot be opened, or it went away."""
+    """The port cannot be opened, or was lost."""
 
 
 class NoReply(HalError, TimeoutError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the files are that travel with the program."""
+"""Location of the files that are shipped with the program."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from pathlib import Path
 
 
 def config_dir() -> Path:
-    """The shipped config/ folder: packaged as motord_hal/_config in a wheel, else the checkout's.
+    """Return the shipped config/ folder: motord_hal/_config in a wheel, else the checkout's.
 
-    Raises FileNotFoundError where there is neither.
-    """
+    Raises FileNotFoundError if there is neither."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "_config", package.parent.parent / "config"):
         if (folder / "drives").is_dir():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When to try again. Pure: the caller does the waiting."""
+"""Waiting times between tries. Pure: the caller does the waiting."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Backoff:
         self._next_s = self.first_s
 
     def next_s(self) -> float:
-        """How long to wait before the next try; each call doubles the one after it."""
+        """Return the time to wait before the next try. Each call doubles the following one."""
         wait_s = self._next_s
         self._next_s = min(2 * wait_s, self.limit_s)
         return wait_s
 
     def reset(self) -> None:
-        """It worked: begin again at `first_s`."""
+        """Begin again at `first_s`, after a success."""
         self._next_s = self.first_s

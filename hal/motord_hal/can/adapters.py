@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which kinds of python-can's adapters a line can use. Pure."""
+"""Check of which of python-can's adapters a line can use. Pure."""
 
 from __future__ import annotations
 
 _FD_KINDS = ("socketcan", "unix", "virtual", "udp_multicast")
 FD_ADAPTERS = ("kvaser", "vector", "ixxat")
-"""python-can's own drivers that take `fd` and `data_bitrate`."""
+"""Drivers of python-can that take `fd` and `data_bitrate`."""
 
 
 def why_unfit(interface: str, *, fd_frames: bool) -> str:
-    """Why a line cannot use this kind of adapter, in words; "": it can."""
+    """Return why a line cannot use this kind of adapter, in words; "": it can."""
     if interface == "gs_usb":
         # python-can's GsUsbBus.send has no time-out, and the event loop would wait in it
         text = "python-can's gs_usb driver waits without end where the CAN bus takes nothing"

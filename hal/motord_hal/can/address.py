@@ -12,14 +12,14 @@ from motord_hal.can.adapters import FD_ADAPTERS, why_unfit
 
 
 def split_address(address: str) -> tuple[str, str]:
-    """Interface and channel of INTERFACE:CHANNEL."""
+    """Return interface and channel of INTERFACE:CHANNEL."""
     interface, _, channel = address.partition(":")
     return interface, channel
 
 
 def bus_arguments(address: str, bitrate: int, data_bitrate: int | None) -> dict[str, Any]:
-    """The arguments with which python-can opens it. On SocketCAN the bit rate is the kernel's.
-    Raises ProfileError: see why_unfit."""
+    """Return the arguments with which python-can opens the CAN bus. On SocketCAN the kernel sets
+    the bit rate. Raises ProfileError if the adapter cannot be used."""
     interface, channel = split_address(address)
     if problem := why_unfit(interface, fd_frames=data_bitrate is not None):
         raise ProfileError(f"{address}: {problem}")
@@ -32,7 +32,7 @@ def bus_arguments(address: str, bitrate: int, data_bitrate: int | None) -> dict[
     if interface == "virtual":
         protocol = can.CanProtocol.CAN_FD if data_bitrate else can.CanProtocol.CAN_20
         return {**wanted, "protocol": protocol}
-    if interface == "slcan":  # its driver would wait a millisecond for what has not come yet
+    if interface == "slcan":  # its driver would wait a millisecond for a frame that is not there
         wanted["timeout"] = 0
     if data_bitrate is not None and interface in FD_ADAPTERS:
         wanted |= {"fd": True, "data_bitrate": data_bitrate}

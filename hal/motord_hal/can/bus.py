@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A CAN bus on asyncio, through any adapter that python-can reaches.
 
-Received frames are handed on where the event loop sees them: from the descriptor where the adapter
-has one, else from a reader thread with a bounded queue. Sending never waits.
+Received frames are handed on in the event loop: by the adapter's file descriptor if there is one,
+else from a reader thread with a bounded queue. Sending never waits.
 """
 
 from __future__ import annotations
@@ -29,28 +29,29 @@ from motord_hal.can.unix_client import UnixClient
 from motord_hal.fieldbus.trace import PythonTrace
 
 OPEN_WITHIN_S = 5.0
-"""Serial and USB adapters take a while."""
+"""Time limit for opening. Serial and USB adapters take a while."""
 READ_AT_ONCE = 64
-"""Frames that are taken in before the event loop runs again."""
+"""Number of frames that are taken in before the event loop runs again."""
 QUEUE_FRAMES = 1024
-"""Queue of the reader thread, the oldest frames are lost first; also the most for catching up."""
+"""Size of the reader thread's queue, which loses the oldest frames first; also the greatest number
+of frames that `catch_up` takes in."""
 THREAD_LOOKS_S = 0.05
 AGE_MAX_S = 1.0
-"""A frame whose stamp is older than this counts as new: the stamp is more likely to be wrong than
-the event loop to be so late."""
+"""Greatest age of a frame by its stamp. If it would be older, the frame counts as new: a wrong
+stamp is more likely than an event loop that is so late."""
 BAD_FRAMES_MAX = 100
-"""After so many failed reads in a row the bus is at fault, not single frames."""
+"""Number of failed reads in a row after which the bus is at fault, not single frames."""
 _UNREADABLE = (can.CanError, OSError, ValueError)
-"""ValueError: a driver that reads text (slcan) raises it for what is no frame."""
+"""Errors of a failed read. A driver that reads text (slcan) raises ValueError for bad frames."""
 _FULL = (errno.ENOBUFS, errno.EAGAIN, errno.ETIMEDOUT)
 
 Taker = Callable[[can.Message, int], None]
-"""A frame, and when it came: nanoseconds of CLOCK_MONOTONIC."""
+"""Function that gets a frame and its arrival time in nanoseconds of CLOCK_MONOTONIC."""
 _log = logging.getLogger(__name__)
 
 
 class CanBus:
-    """One CAN bus. `errors` counts what went wrong, by kind. It is to be closed once `trouble` is
+    """One CAN bus. `errors` counts errors by kind. The owner has to close it once `trouble` is
     set."""
 
     def __init__(
@@ -63,8 +64,8 @@ class CanBus:
         warn: Callable[[str], None] = _log.warning,
         own: Iterable[tuple[int, bool]] = (),
     ) -> None:
-        """`own`: identifiers of frames of ours that are to be taken in, too, when they have left;
-        only `receives_own` kinds can."""
+        """Set the bus up. `own` are identifiers of motord's own frames that are to be taken in when
+        they have left; this works only if `receives_own`."""
         self.address = address
         self.errors: Counter[str] = Counter()
         self.trouble: PortError | None = None
@@ -83,11 +84,13 @@ class CanBus:
         self._fd_frames = data_bitrate is not None
         self._bus_off = BusOffWatch(address)
         self._emptied_ns = 0
-        """Time of the newest look that found nothing to read: what is read now came later."""
+        """Time of the newest look that found nothing to read. Frames that are read now came
+        later."""
 
     # ------------------------------------------------------------------------------------- opening
     async def open(self) -> None:
-        """Raises PortError. Whatever an adapter does while it is opened, the loop goes on."""
+        """Open the adapter. The event loop continues, whatever the adapter does. Raises
+        PortError."""
         await make_ready(self.address, self.errors, fd_frames=self._fd_frames)
         opening = asyncio.get_running_loop().run_in_executor(None, self._open)
         try:
@@ -122,7 +125,7 @@ class CanBus:
             self._reader = _ReaderThread(bus, self._take_in, self._fail)
 
     def close(self) -> None:
-        """Does nothing while it is closed."""
+        """Close the CAN bus; does nothing if it is closed."""
         bus, self._bus = self._bus, None
         if bus is None:
             return
@@ -172,7 +175,7 @@ class CanBus:
             self.trouble = PortError(f"{self.address}: {BUS_OFF_TEXT}")
 
     def _fail(self, error: Exception) -> None:
-        """A read or a write has failed: is it the CAN bus, or one frame?"""
+        """Count a failed read or write; set `trouble` if the CAN bus is at fault, not one frame."""
         number = _errno_of(error)
         self._bad_in_a_row += 1
         if number is None and self._bad_in_a_row <= BAD_FRAMES_MAX:
@@ -184,8 +187,8 @@ class CanBus:
             self.trouble = PortError(f"{self.address}: {error}{f' ({words})' if words else ''}")
 
     def catch_up(self) -> None:
-        """Take in what has come, in case the event loop is late. Check for bus-off, too: the error
-        frame that reports it may have been lost."""
+        """Take in received frames, in case the event loop is late. Check for bus-off, too: the
+        error frame that reports it may have been lost."""
         if self._fd is not None:
             self._read(QUEUE_FRAMES)
         elif self._reader is not None:
@@ -196,8 +199,8 @@ class CanBus:
 
     # ------------------------------------------------------------------------------------- sending
     def send(self, sent: Sent) -> bool:
-        """False: the queue to the CAN bus is full, the frame is lost and counted; the next one will
-        be newer. Raises PortError."""
+        """Send a frame. Return False if the queue to the CAN bus is full: the frame is lost and
+        counted, and the next one will be newer. Raises PortError."""
         self.check()
         assert self._bus is not None  # check
         message = _message(sent)
@@ -217,7 +220,7 @@ class CanBus:
         return True
 
     def check(self) -> None:
-        """Raises PortError where the CAN bus is closed, or has failed."""
+        """Raise PortError if the CAN bus is closed or has failed."""
         if self.trouble is not None:
             raise self.trouble
         if self._bus is None:
@@ -225,15 +228,15 @@ class CanBus:
 
 
 def receives_own(address: str) -> bool:
-    """Whether its kind reports when a frame of ours has left: SocketCAN does."""
+    """Whether this kind of bus reports when a frame of motord's has left; SocketCAN does."""
     return split_address(address)[0] == "socketcan"
 
 
 def came_ns(message: can.Message, emptied_ns: int) -> int:
-    """When it came: CLOCK_MONOTONIC, by the age that the kernel's or the adapter's stamp gives it.
-    Those stamps are of the wall clock, which may be set meanwhile, or count from the adapter's
-    start; one that cannot be is not used, and the frame has come now. None is older than the look
-    that found nothing to read."""
+    """Return a frame's arrival time in CLOCK_MONOTONIC, from the age by the kernel's or adapter's
+    stamp. These stamps are of the wall clock, which may be set meanwhile, or count from the
+    adapter's start. If one is impossible, the frame counts as new. The result is not before
+    `emptied_ns`, the time of the last look that found nothing to read."""
     age_s = time.time() - message.timestamp
     age_ns = round(age_s * 1e9) if 0.0 <= age_s <= AGE_MAX_S else 0
     return max(now_ns() - age_ns, emptied_ns)
@@ -257,7 +260,8 @@ def _message(sent: Sent) -> can.Message:
 
 
 def _errno_of(error: BaseException) -> int | None:
-    """The system's error behind python-can's; an OSError without a number is one of the adapter."""
+    """Return the system's error number behind python-can's error. An OSError without one counts as
+    EIO."""
     number = getattr(error, "error_code", None) or getattr(error, "errno", None)
     if number is None and isinstance(error.__cause__, OSError):
         number = error.__cause__.errno or errno.EIO
@@ -280,7 +284,8 @@ def _shut_late(opening: asyncio.Future[can.BusABC]) -> None:
 
 
 class _ReaderThread:
-    """For adapters without a descriptor. The thread ends by itself soon after `stop`."""
+    """Reader for adapters without a file descriptor. The thread ends by itself soon after
+    `stop`."""
 
     def __init__(self, bus: can.BusABC, take_in: Taker, fail: Callable[[Exception], None]) -> None:
         self._bus = bus
@@ -319,6 +324,6 @@ class _ReaderThread:
             self._stopped.set()
 
     def drain(self) -> None:
-        """Hand on what is queued."""
+        """Hand on all queued frames."""
         while self._queue and not self._stopped.is_set():
             self._take_in(*self._queue.popleft())

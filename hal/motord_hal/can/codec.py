@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of a drive from values and back, and how long a frame holds the CAN bus. Pure."""
+"""Conversion of values to a drive's frames and back, and the time a frame holds the CAN bus.
+Pure."""
 
 from __future__ import annotations
 
@@ -9,23 +10,24 @@ from motord_hal.drives.can_profile import Frame, Signal
 
 # ISO 11898-1, 10.4: fields of a classic frame that are stuffed, beside the data
 _STUFFED_BITS = 34
-"""Start, identifier, RTR, IDE, r0, DLC, CRC: 1 + 11 + 1 + 1 + 1 + 4 + 15."""
+"""Bits of start, identifier, RTR, IDE, r0, DLC, CRC: 1 + 11 + 1 + 1 + 1 + 4 + 15."""
 _EXTENDED_MORE_BITS = 20
-"""18 bits of identifier, SRR and r1."""
+"""Further bits of an extended frame: 18 bits of identifier, SRR and r1."""
 _FIXED_BITS = 13
-"""CRC delimiter, acknowledgement with its delimiter, end of frame, intermission: 1 + 2 + 7 + 3."""
+"""Bits without stuffing: CRC delimiter, ACK and its delimiter, end of frame, intermission: 1 + 2 +
+7 + 3."""
 _FD_HEAD_BITS = 17
-"""Start, identifier, RRS, IDE, FDF, res, BRS: 1 + 11 + 5 (ISO 11898-1, 10.4.2.3)."""
+"""Bits of start, identifier, RRS, IDE, FDF, res, BRS: 1 + 11 + 5 (ISO 11898-1, 10.4.2.3)."""
 _FD_CONTROL_BITS = 5
-"""ESI and DLC."""
+"""Bits of ESI and DLC."""
 _FD_STUFF_COUNT_BITS = 4
 _FD_LONG_BYTES = 16
 """Longer frames have a CRC of 21 bits, others one of 17."""
 
 
 def build(frame: Frame, signals: tuple[Signal, ...], raw: Mapping[str, int]) -> bytes:
-    """The data of a frame: what it begins with, and its signals; those that are not given stand at
-    their defaults."""
+    """Return the data of a frame: its `begins`, with its signals written over it. A signal that is
+    not in `raw` has its default."""
     data = bytearray(frame.begins.ljust(frame.size_bytes, b"\x00"))
     for signal in signals:
         signal.insert(data, raw.get(signal.name, signal.default))
@@ -33,7 +35,7 @@ def build(frame: Frame, signals: tuple[Signal, ...], raw: Mapping[str, int]) -> 
 
 
 def parse(frame: Frame, signals: tuple[Signal, ...], data: bytes) -> dict[str, int] | None:
-    """Signal → raw; None: the data are of another frame, or cut short."""
+    """Return signal → raw value; None: the data belong to another frame, or are cut short."""
     if not frame.matches(data):
         return None
     whole = data[: frame.size_bytes]
@@ -41,9 +43,9 @@ def parse(frame: Frame, signals: tuple[Signal, ...], data: bytes) -> dict[str, i
 
 
 def frame_bits(size_bytes: int, *, extended: bool) -> int:
-    """Bits of a classic frame with the most stuff bits that there can be, one after each four
-    (Tindell, Burns & Wellings, Calculating Controller Area Network message response times, 1995;
-    corrected by Davis et al., 2007), and with the intermission. 8 bytes: 135, extended 160."""
+    """Return the bits of a classic frame with its intermission and the most stuff bits possible,
+    one after each four (Tindell, Burns & Wellings, Calculating Controller Area Network message
+    response times, 1995; corrected by Davis et al., 2007). 8 bytes: 135, extended 160."""
     stuffed = _STUFFED_BITS + _EXTENDED_MORE_BITS * extended + 8 * size_bytes
     return stuffed + (stuffed - 1) // 4 + _FIXED_BITS
 
@@ -51,7 +53,8 @@ def frame_bits(size_bytes: int, *, extended: bool) -> int:
 def frame_time_s(
     frame: Frame, bitrate: int, data_bitrate: int | None, *, remote: bool = False
 ) -> float:
-    """The longest that a frame holds the CAN bus; `remote`: the remote frame that requests it."""
+    """Return the longest time that a frame holds the CAN bus; `remote`: the remote frame that
+    requests it."""
     if not frame.fd:
         size_bytes = 0 if remote else frame.size_bytes
         return frame_bits(size_bytes, extended=frame.extended) / bitrate

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive on a CAN bus: what it gets each cycle, what it reports, whether it still responds.
+"""One drive on a CAN bus: what it gets in each cycle, what it reports, whether it still responds.
 
 A sent frame proves nothing: only frames of the drive show that it responds.
 """
@@ -28,17 +28,17 @@ from motord_hal.realtime.exchange import Exchange
 PROBE_FIRST_S = 0.1
 PROBE_LIMIT_S = 2.0
 HELLO_GOOD_FOR_S = 5.0
-"""How long an answer to `hello` counts: time to set the drive up."""
+"""Time for which an answer to `hello` is valid: enough to set the drive up."""
 SAMPLE_PART = 0.5
-"""Frames that the CAN bus has held up come in bunches; one sooner after the other than this part of
-its period adds nothing to the next one."""
+"""Part of a frame's period. Frames that the CAN bus has held up come in bunches; a measurement that
+comes sooner than this after the one before adds nothing and is dropped."""
 
 Send = Callable[[Sent], bool]
-"""False: the CAN bus takes nothing now."""
+"""Function that sends a frame. It returns False if the CAN bus takes nothing now."""
 
 
 class CanDrive(AsyncioDrive[CanPlan]):
-    """One node."""
+    """One node on a CAN bus."""
 
     def __init__(
         self,
@@ -68,16 +68,16 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._received_s: dict[str, float] = {}
         self._received_ns: dict[str, int] = {}
         self._unanswered: dict[str, tuple[float, int]] = {}
-        """Frame that was requested and has not come since → since when, and how often."""
+        """Frame that was requested and has not come since → (time of the first request, number)."""
         self._sent_s = 0.0
-        """When set-points went out last."""
+        """Time of the newest set-points that were sent."""
         self._waits_since_s = 0.0
-        """When the line was opened or lost: the drive's state is unknown since then."""
+        """Time when the line was opened or lost. The drive's state is unknown since then."""
         self._unresponsive_since_s = 0.0
         self._probe_at_s = 0.0
         self._cycles = 0
         self._job_s = 0.0
-        """When a job last wrote or requested something."""
+        """Time when a job last wrote or requested something."""
         self._last_off = LastPowerOff()
 
     def __str__(self) -> str:
@@ -85,7 +85,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     # ----------------------------------------------------------------------------------- feedback
     def receive(self, frame: Frame, values: dict[str, int], stamp_ns: int) -> None:
-        """A frame of this drive has come. Nothing is sent from here."""
+        """Take in a frame of this drive. Nothing is sent from here."""
         self._received_s[frame.name] = stamp_ns * 1e-9
         self._unanswered.pop(frame.name, None)
         self._runner.received(frame, values)
@@ -99,7 +99,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._check_power(frame)
 
     def _publish(self) -> None:
-        """Hand the feedback to the core, once every frame that the wheel needs has come."""
+        """Hand the feedback to the core, once all its frames have come."""
         if not all(frame.name in self._received_ns for frame in self.plan.fast):
             return
         for joint in self.plan.joints:
@@ -112,7 +112,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._put_feedback(joint, reading, self._received_ns[frame.name])
 
     def _check_power(self, frame: Frame) -> None:
-        """Compare the reported power with what it should be."""
+        """Compare the reported power state with the expected one."""
         enabled_place = self.plan.profile.enabled
         enabled = self.plan.enabled(self._values)
         if (
@@ -131,7 +131,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         return max(frame.silence_s, asked_s)
 
     def _missing(self) -> Frame | None:
-        """A frame that has not come for too long."""
+        """Return a frame that has not come for too long, or None."""
         hello = self.plan.hello
         if hello is not None and self.state in (DriveState.UNKNOWN, DriveState.UNRESPONSIVE):
             received_s = self._received_s.get(hello.name, -math.inf)
@@ -139,8 +139,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
         return next((frame for frame in self.plan.watched if self._is_missing(frame)), None)
 
     def _is_missing(self, frame: Frame) -> bool:
-        """A frame that comes only on request counts as missing only after requests: this program
-        may have paused."""
+        """Whether a frame has not come for too long. One that comes only on request counts as
+        missing only after requests: this program may have paused."""
         received_s = self._received_s.get(frame.name, -math.inf)
         if frame.period_s or received_s == -math.inf:
             return now_s() - received_s > self._silence_s(frame)
@@ -148,18 +148,18 @@ class CanDrive(AsyncioDrive[CanPlan]):
         return questions >= self.tries and now_s() - since_s > self._silence_s(frame)
 
     def _asked_for(self, *frames: Frame) -> None:
-        """Count a request for these frames, even if the CAN bus did not take it: from a bus that
-        takes no frame, no drive is received either."""
+        """Count a request for these frames, even if the CAN bus did not take it: if the bus takes
+        no frame, no drive can be received either."""
         for frame in frames:
             since_s, questions = self._unanswered.get(frame.name, (now_s(), 0))
             self._unanswered[frame.name] = (since_s, questions + 1)
 
     def synchronised(self) -> None:
-        """The line has sent its SYNC."""
+        """Note that the line has sent its SYNC."""
         self._asked_for(*self.plan.answering.get(self.plan.table.sync, ()))
 
     def look(self) -> None:
-        """Once a cycle: does it respond? If not, probe it."""
+        """Check, once a cycle, whether the drive responds. If not, probe it."""
         missing = self._missing()
         setting_up = any(job.name == "configure" for job in self.jobs)
         if missing is None:
@@ -171,13 +171,14 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._probe()
 
     def _set_up_again(self) -> None:
-        """It responds: set it up. After each failed set-up, wait longer before the next."""
+        """Set up the drive, which responds again. After each failed set-up, wait longer."""
         if now_s() >= self._set_up_at_s:
             self._set_up_at_s = now_s() + self._set_up_backoff.next_s()
             self._answers()
 
     def _past_patience(self) -> tuple[DriveState, ...]:
-        """The states in which a missing frame counts now: after opening, a drive has extra time."""
+        """Return the states in which a missing frame counts now; after opening, there is extra
+        time."""
         longest_s = max(self._silence_s(frame) for frame in self.plan.watched)
         if now_s() > self._waits_since_s + longest_s + FIRST_WORD_S:
             return DriveState.READY, DriveState.ARMED, DriveState.UNKNOWN
@@ -198,8 +199,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._probe_at_s = 0.0
 
     def _probe(self) -> None:
-        """Request what does not come by itself. A silent drive may still receive and follow its
-        last set-point, so a drive that may turn gets a stop."""
+        """Request the frames that do not come by themselves. A silent drive may still receive and
+        follow its last set-point, so a drive that may turn gets a stop."""
         if now_s() < self._probe_at_s:
             return
         self._probe_at_s = now_s() + self._backoff.next_s()
@@ -228,8 +229,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._slot()
 
     def _now_and_then(self, turn: int) -> None:
-        """Request one frame that may wait. A drive that cannot report its power gets its power-off
-        again: the first one may have been lost."""
+        """Request one frame that may wait. A drive that cannot report its power state gets its
+        power-off again: the first one may have been lost."""
         slow = self.plan.asked_slow
         if slow:
             self._ask(slow[turn % len(slow)])
@@ -238,7 +239,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._write_all(self.plan.profile.disarm)
 
     def send_setpoints(self, wanted: Wanted) -> None:
-        """Only the set-points."""
+        """Send only the set-points."""
         received = self.state is DriveState.ARMED or self.is_stopping
         if received or self.plan.table.idle_setpoints:
             self._send_setpoints(wanted if self.state is DriveState.ARMED else {})
@@ -253,8 +254,8 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._sent_s = now_s()
 
     def _write(self, frame: Frame, raw: Mapping[str, int]) -> bool:
-        """Send a frame with these signals and the held ones. False: the CAN bus takes nothing
-        now."""
+        """Send a frame with these signals and the held ones. Return False if the CAN bus takes
+        nothing now."""
         self._held.update({name: raw[name] for name in self.plan.held if name in raw})
         self._asked_for(*self.plan.answering[frame.name])
         return self._send(self.plan.write(frame, {**self._held, **raw}))
@@ -268,7 +269,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     # ---------------------------------------------------------------------------- the acyclic part
     def arming(self) -> Job:
-        """Zero in its set-points, then the profile's own steps."""
+        """Return the job that arms: zero in the set-points, then the profile's steps."""
         zeros = self.plan.setpoints({}).items()
         rest = (Step(register=name, value=raw) for name, raw in zeros)
         return Job("arm", (*rest, *self.plan.profile.arm))
@@ -279,26 +280,28 @@ class CanDrive(AsyncioDrive[CanPlan]):
         self._held.clear()
 
     def lose(self, error: HalError) -> None:
-        """As AsyncioDrive.lose."""
+        """Implement `AsyncioDrive.lose`."""
         super().lose(error)
         self._received_s.clear()
         self._unanswered.clear()
         self._waits_since_s = now_s()
 
     def opened(self) -> None:
-        """The line is open. A drive that may turn gets a stop, as if it had just fallen silent."""
+        """Note that the line is open. A drive that may turn gets a stop, as if it had just fallen
+        silent."""
         self._waits_since_s = self._unresponsive_since_s = now_s()
         self._probe_at_s = 0.0
         self._backoff.reset()
 
     async def take_over(self) -> None:
-        """As AsyncioDrive.take_over. Frames have their full time to come, counted from now."""
+        """Implement `AsyncioDrive.take_over`. Frames have their full time to come, counted from
+        now."""
         self.opened()
         self._received_s.update(dict.fromkeys((f.name for f in self.plan.watched), now_s()))
         await super().take_over()
 
     def _slot(self) -> None:
-        """One step of the first job."""
+        """Do one step of the first job."""
         job = self.jobs[0]
         if job.done.done():  # its caller has given up
             self._drop(job)
@@ -333,14 +336,14 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     # ----------------------------------------------------------------------------------- stopping
     def _powerless(self) -> None:
-        """As AsyncioDrive._powerless. A drive without power gets no zero either."""
+        """Implement `AsyncioDrive._powerless`. A drive without power gets no zero either."""
         super()._powerless()
         self.sent_motion = False
 
     async def send_power_off(self) -> bool:
-        """As AsyncioDrive.send_power_off. That the CAN bus took it proves nothing: the queue also
-        takes frames when the cable is cut. So the drive has to report that it has no power. If it
-        cannot report that, it has to respond."""
+        """Implement `AsyncioDrive.send_power_off`. The CAN bus takes frames even when the cable is
+        cut, so the drive has to report that it has no power. If it cannot report that, it has to
+        respond."""
         if self._is_off():
             return True
         suffices = self._needs_no_report()
@@ -375,12 +378,12 @@ class CanDrive(AsyncioDrive[CanPlan]):
 
     @property
     def may_report(self) -> bool:
-        """As AsyncioDrive.may_report."""
+        """Implement `AsyncioDrive.may_report`."""
         return self._last_off.is_sent and self._missing() is None
 
     @property
     def has_stopped_itself(self) -> bool:
-        """As AsyncioDrive.has_stopped_itself."""
+        """Implement `AsyncioDrive.has_stopped_itself`."""
         return left_alone(self._sent_s, now_s(), self._watchdog_s)
 
     def _is_at_rest(self) -> bool:
@@ -388,10 +391,11 @@ class CanDrive(AsyncioDrive[CanPlan]):
         return all(one is not None and self._rests_at(one.velocity_rad_s) for one in readings)
 
     def _write_all(self, steps: Sequence[Step]) -> bool:
-        """All writes at once, each one even if the CAN bus did not take the one before."""
+        """Send all writes at once, each even if the CAN bus did not take the one before."""
         sent = [self._write(*one) for one in merged_writes(self.plan, steps)]
         return all(sent)
 
     async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
-        """As AsyncioDrive._write_now: returns all of them if the CAN bus does not take one."""
+        """Implement `AsyncioDrive._write_now`. Returns all steps if the CAN bus does not take
+        one."""
         return () if self._write_all(steps) else steps

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an error frame of the kernel reports (linux/can/error.h). Pure."""
+"""Reading of the kernel's error frames (linux/can/error.h). Pure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _KINDS = (
 )
 _CONTROLLER = 0x004
 _OVERFLOW, _PASSIVE = 0x03, 0x30
-"""Bits of byte 1: receive or transmit buffer overflowed; receiver or sender error-passive."""
+"""Bits of byte 1: receive or transmit buffer overflowed; receiver or sender is error-passive."""
 
 
 WARN_EVERY_S = 60.0
@@ -38,7 +38,7 @@ class BusTrouble(enum.Enum):
 
 
 def error_words(identifier: int, data: bytes) -> tuple[list[str], BusTrouble]:
-    """The kinds of errors that the frame names, and whether the controller has left the CAN bus."""
+    """Return the kinds of errors in the frame, and whether the controller has left the CAN bus."""
     kinds = [name for bit, name in _KINDS if identifier & bit]
     if identifier & _CONTROLLER and len(data) > 1:
         if data[1] & _OVERFLOW:
@@ -50,13 +50,13 @@ def error_words(identifier: int, data: bytes) -> tuple[list[str], BusTrouble]:
 
 
 class BusWarnings:
-    """Warnings that follow from error frames: each kind once in WARN_EVERY_S."""
+    """Warnings that follow from error frames. Each kind appears once in WARN_EVERY_S."""
 
     def __init__(self) -> None:
         self._reported_s: dict[str, float] = {}
 
     def new(self, kinds: Iterable[str], now_s: float) -> list[str]:
-        """The warnings to log now for these kinds of errors."""
+        """Return the warnings to log now for these kinds of errors."""
         found = []
         for kind in kinds:
             if (

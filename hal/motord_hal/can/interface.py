@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A CAN interface of the kernel: is it there, is it up, does it carry CAN FD, and how it comes back
-from bus-off. Addresses other than SocketCAN's are not examined."""
+"""Checks of a CAN interface of the kernel (present, up, able to carry CAN FD, not bus-off), and its
+restart after bus-off. Addresses other than SocketCAN's are not examined."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from motord_hal.can.netlink import BUS_OFF, can_state, restart
 
 NET = Path("/sys/class/net")
 IFF_UP = 0x1
-"""linux/if.h"""
+"""Flag of an interface that is up, from linux/if.h."""
 CANFD_MTU = 72
-"""linux/can.h: of an interface that carries CAN FD; 16 is one that does not."""
+"""MTU of an interface that carries CAN FD, from linux/can.h; 16 is one that does not."""
 LOOK_EVERY_S = 0.5
 BUS_OFF_TEXT = (
     "bus-off: the controller has given up after too many errors (cable, termination, bit rate)"
@@ -25,9 +25,10 @@ BUS_OFF_TEXT = (
 
 
 async def make_ready(address: str, errors: Counter[str], *, fd_frames: bool) -> None:
-    """A controller that is bus-off is restarted where that is permitted; otherwise the kernel
-    (restart-ms) or a user with the permission may do it. Refusals are counted. Raises PortError: a
-    socket opens also on an interface that is down or bus-off, and then receives nothing."""
+    """Check that the interface is usable, and restart a controller that is bus-off where permitted.
+    Otherwise the kernel (restart-ms) or a user may restart it. Refusals are counted. Raises
+    PortError if it is down or bus-off: a socket opens on such an interface, too, and then receives
+    nothing."""
     interface, channel = split_address(address)
     if interface != "socketcan":
         return
@@ -52,7 +53,7 @@ def _number(channel: str, name: str, address: str, base: int) -> int:
 
 
 def _restart_if_off(channel: str) -> str:
-    """Why it was refused, or nothing."""
+    """Restart the controller if it is bus-off. Return why that was refused; "": it was not."""
     try:
         if can_state(channel) == BUS_OFF:
             restart(channel)
@@ -62,16 +63,17 @@ def _restart_if_off(channel: str) -> str:
 
 
 class BusOffWatch:
-    """Whether a controller is bus-off although no error frame has reported it: that frame may have
-    been lost."""
+    """Watch for a controller that is bus-off although no error frame has reported it: that frame
+    may have been lost."""
 
     def __init__(self, address: str) -> None:
         interface, self._channel = split_address(address)
         self._next_s = 0.0 if interface == "socketcan" else float("inf")
 
     def is_off(self) -> bool:
-        """Checked every LOOK_EVERY_S. Only an interface without a carrier can be bus-off, so the
-        kernel is queried only for such an interface; that may take ANSWER_WITHIN_S."""
+        """Whether it is bus-off, checked every LOOK_EVERY_S. Only an interface without a carrier
+        can be bus-off, so the kernel is queried only then; that may take
+        ANSWER_WITHIN_S."""
         if now_s() < self._next_s:
             return False
         self._next_s = now_s() + LOOK_EVERY_S

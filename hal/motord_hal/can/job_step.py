@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The steps of a job on a CAN bus: a write sends a frame, a wait checks frames that came after it
-began."""
+"""The steps of a job on a CAN bus. A write sends a frame; a wait checks frames that came after its
+beginning."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.job import Job
 
 READ_WITHIN_S = 1.0
-"""For a wait without a time: one value is read."""
+"""Time limit of a wait without one of its own, which reads one value."""
 CONFIRM_WITHIN_S = 0.5
-"""For a write that the drive confirms."""
+"""Time limit for the confirmation of a write."""
 
 Write = Callable[[Frame, Mapping[str, int]], bool]
-"""False: the CAN bus takes nothing now."""
+"""Function that writes signals. It returns False if the CAN bus takes nothing now."""
 
 
 class StepRunner:
-    """Carries out the steps of one drive's jobs, one write or check a call."""
+    """Executor of the steps of one drive's jobs, with one write or check in each call."""
 
     def __init__(self, plan: CanPlan, write: Write, ask: Callable[[Frame], bool]) -> None:
         self._plan = plan
         self._write = write
         self._ask = ask
         self._step: Step | None = None
-        """The current wait, or the write that is not confirmed yet."""
+        """Current wait, or a write that is not confirmed yet."""
         self._raw: int | None = None
-        """Frames that came for it since it began."""
+        """Newest raw value that came for this step since its beginning; None: no value yet."""
         self._confirmed = False
         self._aborted: int | None = None
 
     def received(self, frame: Frame, values: dict[str, int]) -> None:
-        """A frame has come."""
+        """Note a frame that has come."""
         step = self._step
         if step is None:
             return
@@ -49,8 +49,7 @@ class StepRunner:
             self._raw = values[step.register]
 
     def run(self, job: Job, who: str) -> None:
-        """Go on with the job's current step. Raises NoReply, Refused and DriveFault when it
-        failed."""
+        """Continue the job's current step. Raises NoReply, Refused or DriveFault if it failed."""
         step = job.step
         assert step is not None  # the caller has checked it
         if step.value is None:
@@ -61,7 +60,7 @@ class StepRunner:
             self._advance_writes(job)
 
     def _advance_writes(self, job: Job) -> None:
-        """Go on past all writes that went out in that frame."""
+        """Advance the job past all writes that went out in one frame."""
         ahead = writes_ahead(job)
         first = self._plan.frame_of(ahead[0].register)
         for step in ahead:
@@ -70,7 +69,8 @@ class StepRunner:
             job.advance()
 
     def _begin(self, job: Job, step: Step, within_s: float) -> bool:
-        """Whether the step begins with this call."""
+        """Start the step's time limit unless it runs. Return whether the step begins with this
+        call."""
         if self._step is step and job.wait_until_s is not None:
             return False
         self._step, self._raw, self._confirmed, self._aborted = step, None, False, None
@@ -118,7 +118,7 @@ class StepRunner:
 
 
 def writes_ahead(job: Job) -> list[Step]:
-    """The writes from the current step on, up to the next wait."""
+    """Return the writes from the current step on, up to the next wait."""
     ahead = []
     for step in job.steps_ahead:
         if step.value is None:
@@ -130,8 +130,8 @@ def writes_ahead(job: Job) -> list[Step]:
 def merged_writes(
     plan: CanPlan, steps: Iterable[Step]
 ) -> Iterator[tuple[Frame, Mapping[str, int]]]:
-    """Frames for the writes among the steps, in their order, and what stands in them; neighbours
-    in a frame go together."""
+    """Yield the frames for the writes among the steps, in order, with their raw values. Neighbours
+    in the same frame are sent together."""
     frame: Frame | None = None
     raw: dict[str, int] = {}
     for step in steps:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The CAN line on asyncio: one task sends, for all drives of a CAN bus.
 
-A cycle: every drive gets the newest set-points and requests for what it does not send by itself,
-and does one step of its jobs. Frames of drives are taken in as they come; they trigger no sending.
+In a cycle, every drive gets the newest set-points and requests for what it does not send by itself,
+and does one step of its jobs. Received frames are taken in as they come; they trigger no sending.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from motord_hal.realtime.exchange import Exchange
 
 
 class CanLine(AsyncioLine[CanDrive]):
-    """ports.Line for `kind = "can"`, engine "asyncio"."""
+    """`ports.Line` for `kind = "can"`, engine "asyncio"."""
 
     unresponsive_text = "the CAN bus takes no frames, or it was not confirmed"
 
@@ -57,8 +57,8 @@ class CanLine(AsyncioLine[CanDrive]):
         self._frames = 0
 
     def stats(self) -> LineStats:
-        """As ports.Line.stats; `exchanges` counts frames of the drives. There are no round trips:
-        most frames come without a request."""
+        """Implement `ports.Line.stats`. `exchanges` counts frames of the drives. There are no round
+        trips: most frames come without a request."""
         return LineStats(
             exchanges=self._frames,
             cycles=self._cycles.count,
@@ -96,7 +96,7 @@ class CanLine(AsyncioLine[CanDrive]):
         drive.receive(*found, stamp_ns)
 
     def _look(self) -> None:
-        """Take in all frames before a drive counts as missing."""
+        """Take in all received frames, before a drive counts as missing."""
         self._bus.catch_up()
         self._bus.check()
 
@@ -106,12 +106,12 @@ class CanLine(AsyncioLine[CanDrive]):
         return taken
 
     def _newest(self, drive: CanDrive) -> Wanted:
-        """As AsyncioLine._newest."""
+        """Implement `AsyncioLine._newest`."""
         return {} if self._gate.is_shut(now_s()) else super()._newest(drive)
 
     def _begins_early(self) -> bool:
-        """As AsyncioLine._begins_early. While a cable is pulled, it would queue more motion for
-        later."""
+        """Implement `AsyncioLine._begins_early`. Not while motion waits in the queue: with a pulled
+        cable, an early cycle would queue more of it."""
         if self._gate.holds_motion:
             self._woken.clear()
             return False
@@ -134,13 +134,13 @@ class CanLine(AsyncioLine[CanDrive]):
         await asyncio.sleep(STOPPING_CYCLE_S)
 
     async def _switch_each_off(self, left: list[CanDrive]) -> None:
-        """As AsyncioLine._switch_each_off."""
+        """Implement `AsyncioLine._switch_each_off`."""
         await super()._switch_each_off(left)
         if left:
             self._synchronise()
 
     def _synchronise(self) -> None:
-        """Send SYNC: all drives act now on what they got in this cycle. Raises PortError."""
+        """Send SYNC: all drives act now on their frames of this cycle. Raises PortError."""
         for sync in self._syncs:
             self._bus.send(sync)
         for drive in self._drives:
@@ -148,12 +148,13 @@ class CanLine(AsyncioLine[CanDrive]):
 
     # ---------------------------------------------------------------------------------------- jobs
     async def read_register(self, joint: str, register: str) -> float:
-        """As ports.Line.read_register; a register is a signal. If the drive sends it without a
-        request, the next frame counts."""
+        """Implement `ports.Line.read_register`; a register is a signal. If the drive sends it
+        without a request, the next frame counts."""
         self._drive_of(joint).plan.readable(register)
         return await super().read_register(joint, register)
 
     def _limit_s(self, jobs: Sequence[Job]) -> float:
-        """Time of the longest job: each drive works on its own, and one job may be ahead of it."""
+        """Return the time of the longest job, doubled: drives work independently, and one job may
+        be ahead."""
         tries = max(drive.tries for drive in self._drives)
         return 2.0 * max((job.limit_s(self._period_s, tries) for job in jobs), default=0.0)

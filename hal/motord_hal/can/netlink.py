@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A CAN controller by rtnetlink (linux/can/netlink.h): is it bus-off, and its restart, as by
-`ip link set can0 type can restart`. That needs CAP_NET_ADMIN."""
+"""State, bit rate and restart of a CAN controller, by rtnetlink (linux/can/netlink.h). The restart
+is that of `ip link set can0 type can restart` and needs CAP_NET_ADMIN."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _NLMSG_ERROR = 2
 _IFLA_LINKINFO, _IFLA_INFO_KIND, _IFLA_INFO_DATA = 18, 1, 2
 _IFLA_CAN_BITTIMING, _IFLA_CAN_STATE, _IFLA_CAN_RESTART = 1, 4, 7
 _TYPE_MASK = 0x3FFF
-"""linux/netlink.h, NLA_TYPE_MASK: without the marks for nested and big-endian."""
+"""NLA_TYPE_MASK of linux/netlink.h: a type without the marks for nested and big-endian."""
 BUS_OFF = 3
-"""linux/can/netlink.h, enum can_state"""
+"""State of a controller that is bus-off: linux/can/netlink.h, enum can_state."""
 _HEADER = struct.Struct("=IHHII")
 """struct nlmsghdr: length, type, flags, sequence, port."""
 _INTERFACE = struct.Struct("=BxHiII")
@@ -28,7 +28,7 @@ _ANSWER_BYTES = 16384
 
 
 def restart_request(index: int, sequence: int) -> bytes:
-    """The message for the interface with this index."""
+    """Return the message that restarts the controller of the interface with this index."""
     data = _attribute(_IFLA_CAN_RESTART, struct.pack("=I", 1))
     info = _attribute(_IFLA_INFO_KIND, b"can\x00") + _attribute(_IFLA_INFO_DATA, data)
     body = _INTERFACE.pack(socket.AF_UNSPEC, 0, index, 0, 0) + _attribute(_IFLA_LINKINFO, info)
@@ -37,14 +37,14 @@ def restart_request(index: int, sequence: int) -> bytes:
 
 
 def _attribute(kind: int, payload: bytes) -> bytes:
-    """Length, type and payload, padded to four bytes (struct rtattr)."""
+    """Return an attribute (struct rtattr): length, type and payload, padded to four bytes."""
     size = 4 + len(payload)
     return struct.pack("=HH", size, kind) + payload + bytes(-size % 4)
 
 
 def answer_error(answer: bytes) -> int:
-    """The error number of an acknowledgement; 0: success. ValueError: it is not an
-    acknowledgement."""
+    """Return the error number of an acknowledgement; 0: success. Raises ValueError for another
+    answer."""
     if len(answer) < _HEADER.size + _ERROR.size:
         raise ValueError(f"{len(answer)} bytes are no acknowledgement")
     _, kind, _, _, _ = _HEADER.unpack_from(answer)
@@ -55,22 +55,22 @@ def answer_error(answer: bytes) -> int:
 
 
 def state_request(index: int, sequence: int) -> bytes:
-    """The message that requests all attributes of the interface with this index."""
+    """Return the message that requests all attributes of the interface with this index."""
     body = _INTERFACE.pack(socket.AF_UNSPEC, 0, index, 0, 0)
     return _HEADER.pack(_HEADER.size + len(body), _RTM_GETLINK, _NLM_F_REQUEST, sequence, 0) + body
 
 
 def state_in(answer: bytes) -> int | None:
-    """The controller's state in the answer; None: the interface has no controller. ValueError: it
-    is no such answer."""
+    """Return the controller's state in the answer; None: the interface has no controller. Raises
+    ValueError for another answer."""
     data = _data_in(answer)
     state = data.get(_IFLA_CAN_STATE, b"") if data is not None else b""
     return int.from_bytes(state, sys.byteorder) if len(state) == 4 else None
 
 
 def _data_in(answer: bytes) -> dict[int, bytes] | None:
-    """What a CAN interface reports of its controller; None: it is not a CAN interface. ValueError:
-    the answer is another one."""
+    """Return what a CAN interface reports of its controller; None: it is no CAN interface. Raises
+    ValueError for another answer."""
     if len(answer) < _HEADER.size + _INTERFACE.size:
         raise ValueError(f"{len(answer)} bytes are no interface")
     size, kind, _, _, _ = _HEADER.unpack_from(answer)
@@ -83,7 +83,7 @@ def _data_in(answer: bytes) -> dict[int, bytes] | None:
 
 
 def _attributes(data: bytes) -> dict[int, bytes]:
-    """Attributes by type. One that is cut off is left out."""
+    """Return the attributes by type, without one that is cut off."""
     found = {}
     while len(data) >= 4:
         size, kind = struct.unpack_from("=HH", data)
@@ -95,7 +95,7 @@ def _attributes(data: bytes) -> dict[int, bytes]:
 
 
 def _ask(message: bytes) -> bytes:
-    """Raises OSError. Waits at most ANSWER_WITHIN_S."""
+    """Send a message and return the answer. Waits at most ANSWER_WITHIN_S. Raises OSError."""
     with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as link:
         link.settimeout(ANSWER_WITHIN_S)
         link.send(message)
@@ -103,8 +103,8 @@ def _ask(message: bytes) -> bytes:
 
 
 def restart(interface: str) -> None:
-    """Raises OSError: not permitted (EPERM), not bus-off (EINVAL, EBUSY), no such interface. Waits
-    at most ANSWER_WITHIN_S."""
+    """Restart the controller. Waits at most ANSWER_WITHIN_S. Raises OSError: not permitted (EPERM),
+    not bus-off (EINVAL, EBUSY), no such interface."""
     answer = _ask(restart_request(socket.if_nametoindex(interface), 1))
     try:
         code = answer_error(answer)
@@ -115,8 +115,8 @@ def restart(interface: str) -> None:
 
 
 def can_state(interface: str) -> int | None:
-    """State of the interface's controller, as BUS_OFF; None: it has none. Raises OSError: no such
-    interface. Waits at most ANSWER_WITHIN_S."""
+    """Return the state of the interface's controller (see BUS_OFF); None: the interface has no
+    controller. Waits at most ANSWER_WITHIN_S. Raises OSError: no such interface."""
     answer = _ask(state_request(socket.if_nametoindex(interface), 1))
     try:
         return state_in(answer)
@@ -125,16 +125,17 @@ def can_state(interface: str) -> int | None:
 
 
 def bit_rate_in(answer: bytes) -> int | None:
-    """Bits a second in the answer to `state_request`; None: a virtual CAN bus, or none is
-    set.
-    ValueError: it is no such answer. Source: struct can_bittiming of linux/can/netlink.h."""
+    """Return the bit rate in an answer to `state_request`; None: a virtual CAN bus, or no rate is
+    set. Raises ValueError for another answer. Source: struct can_bittiming of
+    linux/can/netlink.h."""
     data = _data_in(answer)
     timing = data.get(_IFLA_CAN_BITTIMING, b"") if data is not None else b""
     return (int.from_bytes(timing[:4], sys.byteorder) or None) if len(timing) >= 4 else None
 
 
 def bit_rate(interface: str) -> int | None:
-    """As `bit_rate_in`. Raises OSError: no such interface. Waits at most ANSWER_WITHIN_S."""
+    """Return the interface's bit rate, as `bit_rate_in` does. Waits at most ANSWER_WITHIN_S. Raises
+    OSError: no such interface."""
     answer = _ask(state_request(socket.if_nametoindex(interface), 1))
     try:
         return bit_rate_in(answer)

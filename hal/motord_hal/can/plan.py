@@ -17,34 +17,34 @@ from motord_hal.fieldbus.plan import Plan, Reading
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 
 SLOW_EVERY_CYCLES = 8
-"""What may wait (current, voltage, temperature) is requested once in so many cycles, one frame at a
-time."""
+"""Values that may wait (current, voltage, temperature) are requested once in so many cycles, one
+frame at a time."""
 
 FIRST_WORD_S = 0.2
-"""Beyond its longest silence: time for a drive's first frame after opening."""
+"""Time for a drive's first frame after opening, beyond its longest silence."""
 
 STEADY_S = 1.0
-"""A line that worked for so long is reopened at once when it fails again."""
+"""Time after which a line that worked is reopened at once when it fails again."""
 
 CYCLE_TOLERANCE = 0.001
-"""A drive that is given the cycle interpolates over it: with a larger error it drifts by a whole
-cycle in less than a thousand."""
+"""Greatest relative error of the cycle time that a drive is given. The drive interpolates over it:
+with a larger error it drifts by a whole cycle in less than a thousand."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """A frame that is sent to the CAN bus."""
+    """A frame to send to the CAN bus."""
 
     identifier: int
     extended: bool
     fd: bool
     data: bytes
     remote_bytes: int | None = None
-    """Of a remote frame: the length that it requests; None: a data frame."""
+    """For a remote frame: the length that it requests; None: a data frame."""
 
 
 def with_node(profile: DriveProfile, node: int) -> DriveProfile:
-    """The profile for this node: steps with `plus_node` have its number in their values."""
+    """Return the profile for this node: the node number is added in steps with `plus_node`."""
 
     def own(steps: tuple[Step, ...]) -> tuple[Step, ...]:
         return tuple(
@@ -65,7 +65,7 @@ def with_node(profile: DriveProfile, node: int) -> DriveProfile:
 
 
 def with_cycle(profile: DriveProfile, cycle_s: float) -> DriveProfile:
-    """The profile as it is on a line with this cycle. Raises ProfileError."""
+    """Return the profile for this cycle time. Raises ProfileError if a register cannot hold it."""
 
     def own(step: Step) -> Step:
         if not step.cycle:
@@ -97,9 +97,9 @@ class CanPlan(Plan):
         }
         names = self._setpoint_names()
         self.setpoint_frames = tuple(dict.fromkeys(self.frame_of(name) for name in names))
-        """Sent in every cycle."""
+        """Frames that are sent in every cycle."""
         self.fast = self._frames_of(self._fast_names())
-        """The feedback of each cycle."""
+        """Frames with the feedback of each cycle."""
         slow = self._frames_of(self._slow_names())
         self.slow = tuple(frame for frame in slow if frame not in self.fast)
         self.watched = tuple(
@@ -107,31 +107,31 @@ class CanPlan(Plan):
             for frame in self.table.frames.values()
             if frame.silence_s and (frame.period_s or frame in self.fast)
         )
-        """Frames that are missed when they do not come."""
+        """Frames whose absence makes the drive unresponsive."""
         self.answering = {
             name: tuple(frame for frame in self.watched if name in (frame.answers, frame.ask))
             for name in self.table.frames
         }
-        """Name of a frame that is sent → the watched frames that answer it."""
+        """Name of a sent frame → the watched frames that answer it."""
         self.held = tuple(
             signal.name
             for frame in self.setpoint_frames
             for signal in self._signals[frame.name]
             if signal.name not in names
         )
-        """Signals that go out with the set-points as they were written last: a control word."""
+        """Signals that go out with the set-points at their last written value: a control word."""
         self.hello = self.read_frame_of(self.table.hello) if self.table.hello else None
         sync = self.table.frames.get(self.table.sync)
         self.sync = self.write(sync, {}) if sync else None
         """The SYNC frame, which the line sends once a cycle for all its drives."""
         self.measuring = self._frames_of(self._measuring_names())
-        """The feedback for the odometry."""
+        """Frames with the feedback for the odometry."""
         self.probed = tuple(frame for frame in self.fast if not frame.period_s)
-        """Requested when the drive is silent."""
+        """Frames that are requested when the drive is silent."""
         regular = self.table.idle_setpoints and not self.profile.goes_to_positions
         sent = {frame.name for frame in self.setpoint_frames if regular}
         self.asked_fast = tuple(frame for frame in self.probed if frame.answers not in sent)
-        """Requested in every cycle: frames that do not answer the set-points."""
+        """Frames that are requested in every cycle, because they do not answer the set-points."""
         self.asked_slow = tuple(
             frame
             for frame in self.slow
@@ -175,16 +175,18 @@ class CanPlan(Plan):
         return signal
 
     def frame_of(self, signal: str) -> Frame:
-        """The frame that it is written in, or that it comes in where it is only read."""
+        """Return the frame in which the signal is written; for a read-only one, that in which it
+        comes."""
         return self.table.frames[self.signal(signal).frame]
 
     def read_frame_of(self, signal: str) -> Frame:
-        """The frame that it comes in."""
+        """Return the frame in which the signal comes."""
         found = self.signal(signal)
         return self.table.frames[found.reply_frame or found.frame]
 
     def readable(self, signal: str) -> Register:
-        """Raises LookupError for a signal that does not exist or cannot be read."""
+        """Return a signal that can be read. Raises LookupError if it does not exist or cannot be
+        read."""
         found = readable(self.profile, signal)
         frame = self.read_frame_of(signal)
         if not frame.period_s and not frame.ask:
@@ -193,18 +195,18 @@ class CanPlan(Plan):
 
     @property
     def identifiers(self) -> tuple[tuple[int, bool], ...]:
-        """What this node may send: identifier, and whether it is extended."""
+        """Identifiers of frames that this node may send; True: extended."""
         return tuple(self._by_identifier)
 
     @property
     def setpoint_identifiers(self) -> tuple[tuple[int, bool], ...]:
-        """As `identifiers`, of the frames that carry its set-points."""
+        """Identifiers of frames that carry the node's set-points; True: extended."""
         frames = self.setpoint_frames
         return tuple((one.identifier(self.node), one.is_extended(self.node)) for one in frames)
 
     # ------------------------------------------------------------------------------------- sending
     def write(self, frame: Frame, raw: Mapping[str, int]) -> Sent:
-        """The frame with these signals in it."""
+        """Return the frame with these signals in it."""
         data = build(frame, self._signals[frame.name], raw)
         if frame.node_byte is not None:
             data = data[: frame.node_byte] + bytes((self.node,)) + data[frame.node_byte + 1 :]
@@ -212,7 +214,7 @@ class CanPlan(Plan):
         return Sent(identifier, frame.is_extended(self.node), frame.fd, data)
 
     def question(self, frame: Frame) -> Sent | None:
-        """The frame that requests this one; None: there is no such frame."""
+        """Return the frame that requests this one; None: no frame does."""
         if frame.ask == "rtr":
             identifier = frame.identifier(self.node)
             extended, size_bytes = frame.is_extended(self.node), frame.size_bytes
@@ -223,7 +225,7 @@ class CanPlan(Plan):
     def parse(
         self, identifier: int, data: bytes, *, extended: bool
     ) -> tuple[Frame, dict[str, int]] | None:
-        """Which frame it is, and its signals; None: not one of this drive's."""
+        """Return the received frame and its signals; None: it is not one of this drive's."""
         for frame in self._by_identifier.get((identifier, extended), ()):
             values = parse(frame, self._signals[frame.name], data)
             if values is not None:
@@ -231,12 +233,13 @@ class CanPlan(Plan):
         return None
 
     def reading(self, joint: JointSpec, values: Mapping[str, int]) -> Reading | None:
-        """A joint's reading from the raw values; None: one is not a number."""
+        """Return a joint's reading from the raw values; None: a value is not a number."""
         count = self._count(self.channel(joint).position, values)
         return None if count is None else self._reading(joint, values, count)
 
     def _count(self, name: str | None, values: Mapping[str, int]) -> int | None:
-        """The counter; of a position in turns the count that the profile makes of it."""
+        """Return the position counter; for a position in turns, converted by the profile's
+        counts."""
         if name is None or name not in values:
             return 0
         signal, mask = self.signal(name), (1 << self.profile.counter_bits) - 1
@@ -247,8 +250,8 @@ class CanPlan(Plan):
 
     # ------------------------------------------------------------------------------------ bus load
     def cycle_time_s(self, bitrate: int, data_bitrate: int | None) -> float:
-        """How long the frames of one cycle hold the CAN bus at worst: set-points, the requests of
-        every cycle, and at times one that may wait."""
+        """Return the longest time that the frames of one cycle hold the CAN bus: set-points, the
+        requests of every cycle, and a part of those that may wait."""
 
         def time_s(frame: Frame, *, remote: bool = False) -> float:
             return frame_time_s(frame, bitrate, data_bitrate, remote=remote)
@@ -271,7 +274,7 @@ class CanPlan(Plan):
         return cycle_s
 
     def own_load(self, bitrate: int, data_bitrate: int | None) -> float:
-        """The part of the CAN bus that the drive uses by what it sends without a request."""
+        """Return the part of the CAN bus that the drive uses for frames without a request."""
         return sum(
             frame_time_s(frame, bitrate, data_bitrate) / frame.period_s
             for frame in self.table.frames_from(Sender.DRIVE)
@@ -280,7 +283,7 @@ class CanPlan(Plan):
 
 
 def wire_limit_hz(spec: LineSpec, plans: Sequence[CanPlan]) -> float:
-    """Cycles for which there is room beside what the drives send by themselves."""
+    """Return the greatest cycle rate beside what the drives send by themselves."""
     wire = (spec.baudrate, spec.data_baudrate)
     free = 1.0 - sum(plan.own_load(*wire) for plan in plans)
     return max(free, 0.0) / sum(plan.cycle_time_s(*wire) for plan in plans)

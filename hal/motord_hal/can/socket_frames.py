@@ -16,7 +16,7 @@ _NUMBER = 0x1FFF_FFFF
 
 
 def packed(message: can.Message) -> bytes:
-    """The message as the kernel has it."""
+    """Return the message as the kernel's struct."""
     identifier = message.arbitration_id | _EXTENDED * message.is_extended_id
     identifier |= _REMOTE * message.is_remote_frame | _ERROR * message.is_error_frame
     if message.is_fd:
@@ -26,7 +26,7 @@ def packed(message: can.Message) -> bytes:
 
 
 def unpacked(frame: bytes, came_s: float) -> can.Message:
-    """And back. Raises struct.error for what is no frame."""
+    """Return the message in a kernel's struct. Raises struct.error if it is not a frame."""
     values: dict[str, Any] = {"timestamp": came_s}
     if len(frame) == _FD.size:
         identifier, size, flags, data = _FD.unpack(frame)

@@ -13,17 +13,17 @@ import can
 from motord_hal.can.socket_frames import FRAME_BYTES_MAX, packed, unpacked
 
 SO_TIMESTAMPNS = 35
-"""asm-generic/socket.h: the kernel's time of arrival with each frame."""
+"""Socket option for the kernel's time of arrival with each frame, from asm-generic/socket.h."""
 _TIME = struct.Struct("@ll")
 """struct timespec"""
 _ANCILLARY_BYTES = socket.CMSG_SPACE(_TIME.size)
 
 
 class UnixClient(can.BusABC):
-    """A program's connection to such a CAN bus."""
+    """A program's connection to a CAN bus at a Unix socket."""
 
     def __init__(self, path: str) -> None:
-        """Raises OSError where no CAN bus is there."""
+        """Connect. Raises OSError if no CAN bus is there."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         try:
             self._socket.connect(path)
@@ -41,7 +41,8 @@ class UnixClient(can.BusABC):
         self._socket.close()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Raises OSError; BlockingIOError where the CAN bus takes nothing now. Never waits."""
+        """Send without waiting. Raises OSError; BlockingIOError if the CAN bus takes nothing
+        now."""
         del timeout
         self._socket.send(packed(msg))
 

@@ -23,7 +23,7 @@ FRAME_BYTES = 10
 _SEAL_BYTE = 9
 _CONTENT_BEGIN = 2
 _POLYNOMIAL = 0x8C
-"""0x31 reflected."""
+"""The polynomial 0x31 with its bits reflected."""
 
 
 class Command(IntEnum):
@@ -53,7 +53,7 @@ def command_of(register: Register) -> int:
 
 
 def byte_of(register: Register) -> int:
-    """Where the register begins in the frame."""
+    """Return the position of the register's first byte in the frame."""
     return register.address & 0xFF
 
 
@@ -62,18 +62,18 @@ def size_bytes(register: Register) -> int:
 
 
 def seal(frame: bytes) -> bytes:
-    """A frame with its check sum put in."""
+    """Return the frame with its check sum filled in."""
     return frame[:_SEAL_BYTE] + bytes((crc8(frame[:_SEAL_BYTE]),))
 
 
 def sealed(frame: bytes) -> bool:
-    """Whether it is a whole frame and its last byte is the check sum of the ones before."""
+    """Whether the frame is whole and its last byte is the check sum of the ones before."""
     return len(frame) == FRAME_BYTES and crc8(frame[:_SEAL_BYTE]) == frame[_SEAL_BYTE]
 
 
 def build_request(unit: int, command: int, raw: Mapping[Register, int]) -> bytes:
-    """A request; content that is not named is 0. Raises ValueError for a value that does not
-    fit."""
+    """Return a request. Bytes of content without a value are 0. Raises ValueError for a value that
+    does not fit."""
     frame = bytearray((unit, command, *bytes(FRAME_BYTES - _CONTENT_BEGIN)))
     for register, value in raw.items():
         place(frame, register, value)
@@ -81,8 +81,8 @@ def build_request(unit: int, command: int, raw: Mapping[Register, int]) -> bytes
 
 
 def build_reply(unit: int, second: int, raw: Mapping[Register, int]) -> bytes:
-    """A reply; `second` is its second byte where no register stands there: DDSM115 puts its mode
-    there, DDSM210 the command."""
+    """Return a reply. `second` is its second byte if no register stands there: DDSM115 puts its
+    mode there, DDSM210 the command."""
     frame = bytearray((unit, second, *bytes(FRAME_BYTES - _CONTENT_BEGIN)))
     for register, value in raw.items():
         place(frame, register, value)
@@ -90,7 +90,7 @@ def build_reply(unit: int, second: int, raw: Mapping[Register, int]) -> bytes:
 
 
 def place(frame: bytearray, register: Register, raw: int) -> None:
-    """Write a raw value at its register's place. Raises ValueError where it does not fit."""
+    """Write a raw value at its register's place. Raises ValueError if it does not fit."""
     low, high = register.raw_range
     if not low <= raw <= high:
         raise ValueError(f"{register.name}: {raw} does not fit {register.type.value}")
@@ -99,7 +99,7 @@ def place(frame: bytearray, register: Register, raw: int) -> None:
 
 
 def pick(frame: bytes, register: Register) -> int:
-    """The register's raw value in a frame."""
+    """Return the register's raw value in a frame."""
     size, begin = size_bytes(register), byte_of(register)
     value, bits = int.from_bytes(frame[begin : begin + size], "big"), 8 * size
     if register.mask is not None:

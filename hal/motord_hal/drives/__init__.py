@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drives as data: profiles (config/drives/*.toml), their reader, and what a profile means in SI."""
+"""Drive profiles (config/drives/*.toml), their reader, and their conversions to SI units."""

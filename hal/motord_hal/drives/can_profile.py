@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive sends and receives on a CAN bus, as values: frames, and signals as places in them.
+"""Frames that a drive on a CAN bus sends and receives, and the signals (places) in them, as values.
 
-A signal is a register whose address is its frame. Its raw value is the whole number that stands in
-the frame; of a floating-point number that is its IEEE 754 pattern.
+A signal is a register whose address is a place in a frame. Its raw value is the whole number that
+stands there; for a floating-point number it is the IEEE 754 bit pattern.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from typing import Literal
 from motord_hal.drives.profile import SI_UNITS, Register, RegisterType
 
 FLOAT_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
-"""The greatest finite number of 32 bits (IEEE 754, binary32)."""
+"""Greatest finite 32-bit floating-point number (IEEE 754, binary32)."""
 STANDARD_ID_MAX, EXTENDED_ID_MAX = 0x7FF, 0x1FFF_FFFF
 NODE_MAX = 255
 ABORT_FRAME, ABORT_CODE = "sdo_abort", "sdo_abort_code"
-"""Of a drive with objects: the frame by which it refuses a transfer, and the signal in it."""
+"""Frame by which a drive with objects refuses a transfer, and the signal in it with the code."""
 SIZES_FD = (*range(9), 12, 16, 20, 24, 32, 48, 64)
-"""Bytes that a frame may carry: ISO 11898-1, 8.4.2.4 (a classic frame: up to 8)."""
+"""Data sizes that a frame may have: ISO 11898-1, 8.4.2.4. A classic frame has up to 8 bytes."""
 
 
 class Sender(enum.StrEnum):
@@ -32,53 +32,57 @@ class Sender(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Frame:
-    """One kind of frame. Its identifier is base + node << node_shift."""
+    """One kind of frame. Its identifier is base + (node << node_shift)."""
 
     name: str
     base: int
     node_shift: int
     extended: bool
-    """29 bits of identifier, not 11."""
+    """Whether the identifier has 29 bits instead of 11."""
     fd: bool
-    """A frame of CAN FD, its data at the data bit rate where the CAN bus has one."""
+    """Whether it is a CAN FD frame. Its data go at the data bit rate where the CAN bus has one."""
     size_bytes: int
     sender: Sender
     begins: bytes
-    """What its data begin with: of a frame that is sent, under the signals; of one that comes, what
-    distinguishes it from others with the same identifier."""
+    """First bytes of the data. In a sent frame the signals are written over them. In a received
+    frame they distinguish it from others with the same identifier."""
     ask: str
-    """How motord requests it: "" not at all, "rtr" by a remote frame, else the name of the frame
-    that requests it."""
+    """How motord requests the frame: "" not at all, "rtr" by a remote frame, else the name of the
+    frame that requests it."""
     period_s: float
-    """How often the drive sends it by itself; 0: never."""
+    """Period at which the drive sends the frame without a request; 0: never."""
     silence_s: float
-    """After so long without this frame the drive is unresponsive; 0: the frame may be missing."""
+    """Time without this frame after which the drive is unresponsive; 0: the frame may be
+    missing."""
     source: str
     addressed: bool = True
     """False: the identifier is the same for all nodes (CANopen's NMT and SYNC)."""
     node_byte: int | None = None
-    """The byte of the data that holds the node; None: no byte does."""
+    """Position of the data byte that holds the node number; None: no byte does."""
     open_at: frozenset[int] = frozenset()
-    """Bytes of `begins` that may be anything when it comes: signals stand there. Where it is sent
-    they are 0 under the signals."""
+    """Positions in `begins` that are not compared on reception, because signals stand there. In a
+    sent frame these bytes are 0 under the signals."""
     short: bool = False
-    """Of an extended one: an identifier that fits 11 bits is sent with 11."""
+    """For an extended frame: an identifier that fits 11 bits is sent with 11."""
     or_begins: bytes = b""
-    """As long as `begins`: another beginning that identifies it; empty: there is no other."""
+    """Another beginning that identifies the frame, as long as `begins`; empty: there is no
+    other."""
     answers: str = ""
-    """The frame of motord's that it always answers; "": none."""
+    """Name of the frame of motord's that the drive always answers with this one; "": no such
+    frame."""
     confirm: str = ""
-    """The frame with which the drive confirms this one; "": it does not confirm it."""
+    """Name of the frame with which the drive confirms this one; "": the drive does not confirm
+    it."""
 
     def identifier(self, node: int) -> int:
         return self.base + (node << self.node_shift) if self.addressed else self.base
 
     def is_extended(self, node: int) -> bool:
-        """Whether this node's identifier goes with 29 bits."""
+        """Whether this node's identifier is sent with 29 bits."""
         return self.extended and not (self.short and self.identifier(node) <= STANDARD_ID_MAX)
 
     def matches(self, data: bytes) -> bool:
-        """Whether data that came may be this frame's."""
+        """Whether received data may belong to this frame."""
         if len(data) < self.size_bytes or not self.open_at:
             sent = data.startswith(self.or_begins) if self.or_begins else False
             return len(data) >= self.size_bytes and (sent or data.startswith(self.begins))
@@ -89,22 +93,22 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signal(Register):
-    """A place in a frame."""
+    """A place in a frame that holds one value."""
 
     frame: str
     start_bit: int
-    """Little-endian: from the least significant bit of byte 0 upward. Big-endian: from the most
-    significant bit of byte 0 on."""
+    """Little-endian: counted from the least significant bit of byte 0 upward. Big-endian: counted
+    from the most significant bit of byte 0 on."""
     length: int
-    """Bits."""
+    """Number of bits."""
     big_endian: bool
     offset: float = 0.0
-    """In `unit`: the value of raw 0."""
+    """Value of raw 0, in `unit`."""
     reply_frame: str = ""
-    """Of a signal that is written and read: the frame in which it is read."""
+    """For a signal that is written and read: name of the frame in which it is read."""
     object: str = ""
-    """The object with the same value, which can be read also when its frame does not come; "":
-    there is none."""
+    """Name of the object with the same value, which can be read even when the frame does not come;
+    "": no such object."""
 
     @property
     def is_float(self) -> bool:
@@ -112,7 +116,7 @@ class Signal(Register):
 
     @property
     def raw_range(self) -> tuple[int, int]:
-        """Smallest and largest whole number; of a floating-point number all patterns."""
+        """Smallest and largest raw number; a floating-point signal allows all bit patterns."""
         if self.type.signed and not self.is_float:
             return -(1 << self.length - 1), (1 << self.length - 1) - 1
         return 0, (1 << self.length) - 1
@@ -129,14 +133,15 @@ class Signal(Register):
         return low * per_unit, high * per_unit
 
     def to_si(self, raw: int) -> float:
-        """NaN and infinity pass: the caller judges what a drive reports."""
+        """Convert a raw value to SI. NaN and infinity pass: the caller judges what a drive
+        reports."""
         number: float = raw
         if self.is_float:
             number = struct.unpack("<f", raw.to_bytes(4, "little"))[0]
         return (number * self.scale + self.offset) * SI_UNITS[self.unit][1]
 
     def from_si(self, value: float) -> int:
-        """As Register.from_si; zero is always +0."""
+        """Convert as `Register.from_si` does; zero always becomes +0."""
         if not math.isfinite(value):
             raise ValueError(f"{self.name}: {value} cannot be written")
         low, high = self.si_limits
@@ -148,7 +153,7 @@ class Signal(Register):
         return int.from_bytes(struct.pack("<f", number), "little")
 
     def insert(self, data: bytearray, raw: int) -> None:
-        """Write the raw value to its place. ValueError: it does not fit."""
+        """Write the raw value to its place in the data. Raises ValueError if it does not fit."""
         low, high = self.raw_range
         if not low <= raw <= high:
             raise ValueError(f"{self.name}: {raw} does not fit {self.length} bits")
@@ -158,7 +163,7 @@ class Signal(Register):
         data[:] = whole.to_bytes(len(data), order)
 
     def extract(self, data: bytes) -> int:
-        """The raw value as it stands in the frame."""
+        """Return the raw value that stands in the frame's data."""
         shift, order = self._shift(len(data))
         raw = int.from_bytes(data, order) >> shift & (1 << self.length) - 1
         negative = self.type.signed and not self.is_float and raw >> (self.length - 1)
@@ -172,28 +177,28 @@ class Signal(Register):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CanTable:
-    """The frames of one drive, by name."""
+    """All frames of one drive, and their common properties."""
 
     frames: dict[str, Frame]
     node_min: int
     node_max: int
     idle_setpoints: bool
-    """Whether a drive that is not armed gets zero set-points; not if a set-point itself switches
-    the motor on."""
+    """Whether a drive that is not armed gets set-points of zero. False if a set-point itself
+    switches the motor on."""
     hello: str = ""
-    """The signal that is read until the drive is set up, if its frames come only after that."""
+    """Signal that is read until the drive is set up, if its frames come only after the set-up."""
     sync: str = ""
-    """The frame that the line sends once in each of its cycles, for all drives at once, after their
-    set-points: so they act and measure at one moment."""
+    """Frame that the line sends once in each cycle to all drives, after their set-points, so that
+    they act and measure at one moment."""
     abort: str = ""
-    """The frame with which the drive refuses another one."""
+    """Frame with which the drive refuses another one."""
 
     def frames_from(self, sender: Sender) -> tuple[Frame, ...]:
         return tuple(frame for frame in self.frames.values() if frame.sender is sender)
 
 
 def signals_of(registers: dict[str, Register], frame: str) -> tuple[Signal, ...]:
-    """The signals of a frame, in the order of their places."""
+    """Return the signals of a frame, ordered by start bit."""
     signals = [register for register in registers.values() if isinstance(register, Signal)]
     found = [one for one in signals if frame in (one.frame, one.reply_frame)]
     return tuple(sorted(found, key=lambda signal: signal.start_bit))

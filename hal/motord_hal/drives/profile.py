@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A drive profile as values: the checked content of config/drives/NAME.toml. The reader is
-`load.py`.
+"""A drive profile as values: the checked content of config/drives/NAME.toml. `load.py` reads it.
 
 Drive units (rpm, 0.1 A, per cent) exist only here: `Register.to_si` and `Register.from_si` are the
 only conversions.
@@ -21,15 +20,15 @@ if TYPE_CHECKING:
 
 
 class RegisterType(enum.StrEnum):
-    """Width and sign. Words of 32-bit values come high word first unless the name says
-    otherwise. A Modbus register cannot have 8 bits, nor is it a floating-point number; a place in a
-    frame of another protocol can be both."""
+    """Width and sign of a register. A 32-bit value comes high word first unless the name
+    differs. Modbus registers have no 8-bit and no floating-point types; places in the frames of
+    other protocols may."""
 
     U8 = "u8"
     I8 = "i8"
     U16 = "u16"
     U16_HIGH_FIRST = "u16-high-first"
-    """High byte first, of a series of bus servos (Feetech SCS); registers of Modbus are u16."""
+    """High byte first, for a series of bus servos (Feetech SCS); registers of Modbus are u16."""
     I16 = "i16"
     U32 = "u32"
     I32 = "i32"
@@ -39,7 +38,7 @@ class RegisterType(enum.StrEnum):
     M16 = "m16"
     """The top bit is the sign, the others are the magnitude (bus servos)."""
     M16_BIT10_HIGH_FIRST = "m16-bit10-high-first"
-    """The same with the sign in bit 10, and the high byte first (Feetech SCS)."""
+    """The same as `m16`, but with the sign in bit 10 and the high byte first (Feetech SCS)."""
 
     @functools.cached_property
     def bits(self) -> int:
@@ -63,7 +62,7 @@ class RegisterType(enum.StrEnum):
 
     @functools.cached_property
     def sign_bit(self) -> int:
-        """Of a signed type: the place of its sign, and the width of what is below."""
+        """Position of the sign bit of a signed type, which is also the number of bits below it."""
         return 10 if self is RegisterType.M16_BIT10_HIGH_FIRST else self.bits - 1
 
 
@@ -89,7 +88,7 @@ SI_UNITS = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Register:
-    """One holding register (or two). SI value = raw × scale × (SI per unit)."""
+    """One holding register, or two for a 32-bit value. SI value = raw × scale × (SI per unit)."""
 
     name: str
     address: int
@@ -99,20 +98,21 @@ class Register:
     access: str
     """"r", "w" or "rw"."""
     minimum: float | None
-    """Smallest value the drive takes, in `unit`."""
+    """Smallest value that the drive accepts, in `unit`."""
     maximum: float | None
     source: str
     mask: int | None = None
     """Adjacent bits of the word that hold the value (two temperatures in one word); read only."""
     default: int = 0
-    """Raw value at power-up (of the whole word); what the simulator starts with."""
+    """Raw value of the whole word at power-up; the simulator starts with it."""
 
     def to_si(self, raw: int) -> float:
         _, per_unit, _ = SI_UNITS[self.unit]
         return raw * self.scale * per_unit
 
     def from_si(self, value: float) -> int:
-        """Nearest raw value within the register's own limits. NaN and infinity raise ValueError."""
+        """Return the nearest raw value within the register's limits. Raises ValueError for NaN and
+        infinity."""
         if not math.isfinite(value):
             raise ValueError(f"{self.name}: {value} cannot be written")
         _, per_unit, _ = SI_UNITS[self.unit]
@@ -125,7 +125,7 @@ class Register:
         return round(min(max(in_unit / self.scale, low), high))
 
     def decode(self, words: tuple[int, ...]) -> int:
-        """Raw value from the words as they stood on the wire."""
+        """Return the raw value of these words, which are in the order of the wire."""
         value = words[0]
         if self.type.words == 2:
             low_first = self.type.value.endswith("low-first")
@@ -139,7 +139,8 @@ class Register:
 
     @property
     def si_limits(self) -> tuple[float, float]:
-        """Least and largest value in SI: its type's, and its own where it has any."""
+        """Least and greatest value in SI, by the type and by `minimum` and `maximum` where
+        given."""
         low, high = sorted(self.to_si(raw) for raw in self.raw_range)
         per_unit = SI_UNITS[self.unit][1]
         if self.minimum is not None:
@@ -158,7 +159,7 @@ class Register:
         return -most - (not self.type.magnitude), most
 
     def encode(self, raw: int) -> tuple[int, ...]:
-        """Words for the wire; a value that does not fit raises ValueError."""
+        """Return the words for the wire. Raises ValueError if the value does not fit."""
         bits = self.type.bits
         low, high = self.raw_range
         if not low <= raw <= high:
@@ -172,26 +173,27 @@ class Register:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Direction:
-    """For drives whose set-point is a magnitude: the register of the direction, and its values.
+    """Register of the direction, and its values, for drives whose set-point is a magnitude.
     A velocity that such a drive measures without sign takes the sign of the last direction."""
 
     register: str
     forward: int
     reverse: int
     rest: int
-    """Written with a set-point of zero."""
+    """Value written with a set-point of zero."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Handshake:
-    """A drive that takes a target with the rising edge of a bit, and acknowledges it with another
-    one until the first is 0 again (CiA 402-2, profile position: new set-point)."""
+    """Bits by which a drive takes a target. The rising edge of the bit in `register` hands the
+    target over; the drive sets the acknowledging bit until the first one is 0 again (CiA 402-2,
+    profile position: new set-point)."""
 
     register: str
     mask: int
-    """One bit."""
+    """Mask with one bit set."""
     acknowledged: str
-    """The register that acknowledges."""
+    """Name of the register with the acknowledging bit."""
     acknowledged_mask: int
 
 
@@ -202,15 +204,15 @@ class Channel:
     velocity_setpoint: str | None = None
     duty_setpoint: str | None = None
     torque_setpoint: str | None = None
-    """Of the motor; the speed loop is then the core's."""
+    """Register of the motor's torque. The core then runs the speed loop."""
     position_setpoint: str | None = None
-    """In the unit of `position`, from the same origin. Exactly one of the four set-points is
-    there."""
+    """Register of the target position, in the unit of `position` and from the same origin. Exactly
+    one of the four set-points exists."""
     setpoint_with: tuple[tuple[str, int], ...] = ()
-    """(register, raw value) written with each set-point, in one request: the drive follows the
-    set-point when it gets them."""
+    """Pairs (register, raw value) that are written in one request with each set-point. Their
+    arrival makes the drive follow the set-point."""
     handshake: Handshake | None = None
-    """Of a drive that takes a target only by a handshake."""
+    """Handshake of a drive that takes a target only by one; None: no handshake is needed."""
     position: str | None = None
     velocity: str | None = None
     current: str | None = None
@@ -220,27 +222,27 @@ class Channel:
 
     @property
     def setpoint(self) -> str:
-        """The set-point's register."""
+        """Name of the set-point's register."""
         setpoints = (self.velocity_setpoint, self.duty_setpoint, self.torque_setpoint)
         return next(filter(None, (*setpoints, self.position_setpoint)), "")
 
     def to_motor(self, gear_ratio: float) -> float:
-        """The motor's set-point for a set-point of 1 at the wheel: with a gear the speed is higher
-        and the torque lower; a duty is the same."""
+        """Return the motor's set-point for a set-point of 1 at the wheel. A gear makes the speed
+        higher and the torque lower; a duty stays the same."""
         if self.torque_setpoint is not None:
             return 1.0 / gear_ratio
         return 1.0 if self.duty_setpoint is not None else gear_ratio
 
     @property
     def commands(self) -> frozenset[str]:
-        """All registers that command the motor."""
+        """Names of all registers that command the motor."""
         direction = (self.direction.register,) if self.direction else ()
         return frozenset({self.setpoint, *direction, *dict(self.setpoint_with)})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """One step of a sequence: a write (`value` set), or a wait until (register & mask) ==
+    """One step of a sequence: a write (`value` is set), or a wait until (register & mask) ==
     equals."""
 
     register: str
@@ -248,23 +250,24 @@ class Step:
     mask: int = 0xFFFFFFFF
     equals: int | None = None
     within_s: float = 0.0
-    """For a wait: how long it may take."""
+    """For a wait: longest time."""
     plus_node: bool = False
-    """For a write: the drive's own node number is added to the value."""
+    """For a write: whether the drive's node number is added to the value."""
     cycle: bool = False
-    """For a write: the value is the time of the line's cycle, in the unit of the register."""
+    """For a write: whether the value is the line's cycle time, in the unit of the register."""
     verify: bool = True
-    """For a write: whether the register keeps what was written, so that it can be read back."""
+    """For a write: whether the register keeps the written value, so that it can be read back."""
     copy_of: str = ""
-    """A write whose raw value is that of this register, read right before."""
+    """For a write: name of the register whose raw value, read right before, is written."""
     if_different: bool = False
-    """For a write: only if the register holds another value. Memory that survives a power cut wears
-    with each write."""
+    """For a write: whether to write only if the register holds another value. Memory that survives
+    a power cut wears with each write."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Enabled:
-    """The drive (all its channels) is enabled when (register & mask) == equals."""
+    """Condition under which the drive, with all its channels, is enabled: (register & mask) ==
+    equals."""
 
     register: str
     mask: int
@@ -273,19 +276,19 @@ class Enabled:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watchdog:
-    """The drive's own communication watchdog: the register that holds its time."""
+    """The drive's own communication watchdog. `register` holds its time limit."""
 
     register: str
     minimum_s: float
     maximum_s: float
     action: str
-    """What the drive does when it bites, in words."""
+    """What the drive does when the watchdog expires, in words."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultBit:
-    """One fault: a bit of the fault word or, on drives with numbered faults, its code. The other is
-    None."""
+    """One fault: either a bit of the fault word or, on drives with numbered faults, a code. The
+    other field is None."""
 
     bit: int | None
     code: int | None = None
@@ -299,10 +302,10 @@ BRIDGE_MODES = ("coast", "brake", "forward", "reverse")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bridge:
-    """A motor bridge as data: which level each of its pins has in each mode."""
+    """A motor bridge as data: the level of each pin in each mode."""
 
     pwm_hz: float
-    """Carrier, unless the robot file sets another one."""
+    """Carrier frequency, unless the robot file sets another one."""
     pwm_min_hz: float
     pwm_max_hz: float
     rest: str
@@ -311,7 +314,7 @@ class Bridge:
     """Pin → mode → (base, slope): its level, 0 to 1, is base + slope × |duty|."""
 
     def needs_pwm(self, pin: str) -> bool:
-        """Whether the pin has other levels than low and high."""
+        """Whether the pin takes other levels than low and high."""
         return any(
             base not in (0.0, 1.0) or slope != 0.0 for base, slope in self.levels[pin].values()
         )
@@ -342,19 +345,20 @@ class DriveProfile:
     gap: Gap = Gap.SPEC
     """Silent interval that this drive needs before a request."""
     gap_s: float | None
-    """The same in seconds, if neither of the two rules applies."""
+    """Silent interval in seconds; None: `gap` applies."""
     max_registers: int
-    """Most registers in one request."""
+    """Greatest number of registers in one request."""
     write_function: int
-    """6 or 16: how set-points are written."""
+    """Modbus function that writes set-points: 6 or 16."""
     read_write_function: int | None = None
-    """23 where the drive reads and writes in one exchange; None: it cannot."""
+    """23 if the drive can read and write in one exchange; None: it cannot."""
     broadcast_stop: bool = False
-    """The drive carries out writes to unit 0: one frame stops all drives of the line."""
+    """Whether the drive carries out writes to unit 0, so that one frame stops all drives of the
+    line."""
     counts_per_turn: int
-    """Of the motor shaft; 0: no position counter."""
+    """Counts for one turn of the motor shaft; 0: no position counter."""
     speed_in_counts: bool = False
-    """Its speeds are counts a second on the wire: they need `counts_per_turn`."""
+    """Whether speeds are counts a second on the wire. They need `counts_per_turn` then."""
     counter_bits: int
     registers: dict[str, Register]
     channels: dict[int, Channel]
@@ -364,11 +368,11 @@ class DriveProfile:
     quick_stop: tuple[Step, ...]
     clear_fault: tuple[Step, ...]
     enabled: Enabled | None
-    """None: the drive cannot report it."""
+    """None: the drive cannot report whether it is enabled."""
     power_off: Enabled | None = None
-    """The motor has no power when this holds. None: it has none when it is not `enabled`."""
+    """The motor has no power when this holds. None: the motor has no power when not `enabled`."""
     absolute: bool = False
-    """Its position means the same after each power-up."""
+    """Whether the position means the same after each power-up."""
     homed: Enabled | None = None
     """The position has a reference when this holds; None: the drive cannot report it."""
     watchdog: Watchdog | None
@@ -376,21 +380,21 @@ class DriveProfile:
     """Why there is no watchdog, and what to do instead; empty if there is one."""
     watchdog_fixed_s: float = 0.0
     """The drive stops by itself after this time of silence, which can neither be set nor read; 0:
-    it does not."""
+    the drive does not stop by itself."""
     faults: tuple[FaultBit, ...]
     bus_voltage: str | None
     can: CanTable | None = None
-    """The frames of a drive on a CAN bus, whose registers are signals in them."""
+    """Frames of a drive on a CAN bus, whose registers are signals in them; None: another wire."""
     bridge: Bridge | None = None
-    """Only of the protocol "pwm"."""
+    """Only for the protocol "pwm"."""
 
     @property
     def goes_to_positions(self) -> bool:
         return any(channel.position_setpoint for channel in self.channels.values())
 
     def faults_in(self, word: int) -> tuple[FaultBit, ...]:
-        """The faults of a fault word. A bit or code that the profile does not list is a fault
-        too."""
+        """Return the faults in a fault word. A bit or code that the profile does not list counts as
+        a fault, too."""
         if word == 0:
             return ()
         if any(fault.code is not None for fault in self.faults):
@@ -405,7 +409,7 @@ class DriveProfile:
         )
 
     def stopping_faults(self, word: int) -> int:
-        """The word without its warnings: 0 when the robot may go on."""
+        """Return the fault word without its warnings; 0: no fault stops the robot."""
         kept = 0
         for fault in self.faults_in(word):
             if fault.severity == "fault":

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board that only counts encoder edges: docs/mcu-frame.md, its motors never enabled.
+"""A board that only counts encoder edges: docs/mcu-frame.md, with its motors never enabled.
 
-Its feedback has the board's own time, so the travel of a wheel is as old as it is; when the board
-is silent, the feedback of its wheels gets old, and the core stops.
+Its feedback has the board's own time stamps, so a wheel's travel is as old as they say. When the
+board is silent, the feedback of its wheels gets old, and the core stops.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ _COUNT = struct.Struct("<i")
 _COUNTS = 1 << 32
 
 Report = Callable[[int, int, int, int], None]
-"""BridgeThread.report_count."""
+"""`BridgeThread.report_count`."""
 Say = Callable[[EventKind, str], None]
 
 
 def board_encoder(encoder: BoardEncoder) -> EncoderConfig:
-    """The encoder's configuration for the thread of the pins."""
+    """Return the encoder's configuration for the thread of the pins."""
     return EncoderConfig(
         kind=EncoderKind.REPORTED, fd=-1, ceiling=WIDEST, rad_per_count=encoder.rad_per_count
     )
 
 
 class CountingBoard:
-    """One port. `wheels`: motor of the board → place of the joint on its line."""
+    """One board on a port. `wheels`: motor of the board → index of the joint on its line."""
 
     def __init__(
         self, encoder: BoardEncoder, wheels: Mapping[int, int], report: Report, say: Say
@@ -76,7 +76,7 @@ class CountingBoard:
         self._problem = ""
 
     async def run(self) -> None:
-        """Open, request, receive; open again with back-off. Never returns."""
+        """Open the port, request and receive; open again with back-off. Never returns."""
         backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
         while True:
             try:
@@ -101,7 +101,7 @@ class CountingBoard:
                 backoff.reset()
 
     def _question(self) -> bytes:
-        """Set-points of zero that enable nothing: they set how often the board sends."""
+        """Return set-points of zero that enable nothing. They set how often the board sends."""
         payload = bytearray(setpoints_payload((), {}, max(self._wheels), FEEDBACK_S))
         payload[0] = self._control
         self._sequence = self._sequence + 1 & 0xFFFF
@@ -146,7 +146,8 @@ class CountingBoard:
             self._say(EventKind.DRIVE_BACK, f"{self._port}: the encoder board sends counts")
 
     def _fail(self, problem: str) -> None:
-        """Reported once each time it stops counting."""
+        """Note that the board does not count. Each problem is reported once until the board is
+        back."""
         self._well = False
         if problem != self._problem:
             self._problem = problem
@@ -154,7 +155,7 @@ class CountingBoard:
 
 
 def _spec(encoder: BoardEncoder) -> LineSpec:
-    """The part of a LineSpec that a stream needs."""
+    """Return the part of a LineSpec that a stream needs."""
     return LineSpec(
         index=0,
         name="encoders",

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A counter of the kernel that decodes an encoder in hardware: found by its device, set to count
-all edges, its `count` file opened.
+"""A counter of the kernel that decodes an encoder in hardware: it is found by its device, set to
+count all edges, and its `count` file opened.
 
 Source: kernel, Documentation/ABI/testing/sysfs-bus-counter and
 Documentation/driver-api/generic-counter.rst.
@@ -22,8 +22,8 @@ WIDEST = (1 << 64) - 1
 
 
 def find_counter(wanted: str, root: Path = DEVICES) -> Path:
-    """The counter of that name, or whose device has `wanted` in its path (the numbers change from
-    boot to boot), or counterN, or a folder by its whole path. Raises PortError."""
+    """Return a counter by its name, a part of its device's path (the numbers change from boot to
+    boot), counterN, or a folder's whole path. Raises PortError."""
     if wanted.startswith("/"):
         return Path(wanted)
     devices = {path.name: path.resolve() for path in sorted(root.glob("counter*"))}
@@ -44,7 +44,7 @@ def find_counter(wanted: str, root: Path = DEVICES) -> Path:
 
 
 def open_counter(encoder: CounterEncoder, joint: str, root: Path = DEVICES) -> EncoderConfig:
-    """The descriptor in it is the caller's to close. Raises PortError."""
+    """Open the counter. The caller closes the descriptor in the result. Raises PortError."""
     folder = find_counter(encoder.counter, root) / f"count{encoder.count}"
     where = f"joint {joint}, encoder {folder}"
     if not folder.is_dir():
@@ -68,7 +68,7 @@ def open_counter(encoder: CounterEncoder, joint: str, root: Path = DEVICES) -> E
 
 
 def _set(file: Path, value: str, where: str) -> None:
-    """Write it only if it differs, and read it back. Raises OSError, PortError."""
+    """Write a value only if it differs, and read it back. Raises OSError, PortError."""
     if _read(file) == value:
         return
     file.write_text(f"{value}\n")
@@ -77,7 +77,7 @@ def _set(file: Path, value: str, where: str) -> None:
 
 
 def _ceiling(folder: Path) -> int:
-    """The count before it wraps to 0; the widest possible if the counter does not report it."""
+    """Return the count before it wraps to 0; the widest possible if it is not reported."""
     text = _read(folder / "ceiling")
     return min(int(text), WIDEST) if text.isdecimal() else WIDEST
 

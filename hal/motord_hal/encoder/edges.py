@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A and B of an encoder on two GPIO lines: the kernel keeps each edge with its time.
+"""Signals A and B of an encoder on two GPIO lines. The kernel keeps each edge with its time.
 
 Source: kernel, include/uapi/linux/gpio.h (v2) and Documentation/userspace-api/gpio/chardev.rst.
 """
@@ -16,14 +16,14 @@ from motord_hal.gpio.lines import Wanted, request_all_edges
 from motord_hal.realtime.pwm import EncoderConfig, EncoderKind
 
 EVENTS_KEPT = 1024
-"""The kernel's most for 64 lines: 5 ms between two looks at 200,000 edges a second."""
+"""The kernel's maximum for 64 lines: 5 ms between two looks at 200,000 edges a second."""
 PULLS = {"none": Bias.AS_IS, "up": Bias.PULL_UP, "down": Bias.PULL_DOWN}
 
 
 def open_edges(
     encoder: EdgesEncoder, joint: str, consumer: str, dev: Path = Path("/dev")
 ) -> EncoderConfig:
-    """The descriptor in it is the caller's to close. Raises PortError."""
+    """Request the lines. The caller closes the descriptor in the result. Raises PortError."""
     wanted = [
         Wanted(line=line, purpose=f"joint {joint}, encoder {channel}")
         for channel, line in (("a", encoder.a), ("b", encoder.b))

@@ -17,23 +17,23 @@ from gpiod.line import Value
 from motord_hal.base.errors import PortError
 
 LINES_MAX = 64
-"""Of one request: kernel, include/uapi/linux/gpio.h, GPIO_V2_LINES_MAX."""
+"""Limit for one request: kernel, include/uapi/linux/gpio.h, GPIO_V2_LINES_MAX."""
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Lines that this process holds until the owner closes the descriptor."""
+    """Requested lines. This process holds them until the owner closes the descriptor."""
 
     fd: int
     offsets: tuple[int, ...]
     """The lines' numbers on the chip."""
     levels: tuple[int, ...]
-    """0 or 1 for each, at the time of the request."""
+    """Level of each line at the time of the request, 0 or 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class Chip:
-    """A chip that is open."""
+    """An open GPIO chip."""
 
     gpio: gpiod.Chip
     path: Path
@@ -41,8 +41,8 @@ class Chip:
     lines: int
 
     def find(self, wanted: str) -> int:
-        """The offset of a line by name or number. Raises OSError, and LookupError for a name that
-        no line has, or more than one."""
+        """Return the offset of a line by name or number. Raises OSError, and LookupError if no line
+        or more than one has the name."""
         if wanted.isdecimal():
             if int(wanted) >= self.lines:
                 raise LookupError(f"no GPIO line {wanted} (0 to {self.lines - 1})")
@@ -50,7 +50,7 @@ class Chip:
         return _only_line([self.info(offset)[0] for offset in range(self.lines)], wanted)
 
     def info(self, offset: int) -> tuple[str, str]:
-        """A line's name, and its user: empty where there is none. Raises OSError."""
+        """Return a line's name, and its user; "" where either is missing. Raises OSError."""
         info = self.gpio.get_line_info(offset)
         return info.name, (info.consumer or "the kernel") if info.used else ""
 
@@ -61,8 +61,8 @@ class Chip:
         consumer: str,
         events: int = 0,
     ) -> Request:
-        """These lines in this order. `events`: how many the kernel keeps at least; 0: its default.
-        Raises OSError."""
+        """Request lines, in this order. `events` is the least number of them that the kernel keeps;
+        0: its default. Raises OSError."""
         config: dict[Iterable[int | str] | int | str, LineSettings | None] = {}
         config.update(zip(offsets, settings, strict=True))
         with self.gpio.request_lines(config, consumer, events or None) as request:
@@ -83,8 +83,8 @@ def _only_line(names: Sequence[str], wanted: str) -> int:
 
 @contextmanager
 def open_chip(wanted: str, dev: Path = Path("/dev")) -> Iterator[Chip]:
-    """The chip with that label, or the device file. Raises PortError, also where several have that
-    label."""
+    """Open the chip with that label, or that device file. Raises PortError, also if several chips
+    have the label."""
     path = _path_of(wanted, dev)
     try:
         chip = gpiod.Chip(str(path))
@@ -122,7 +122,7 @@ def _only_chip(labels: dict[Path, str], wanted: str, refused: Sequence[str] = ()
 
 
 def why(error: OSError) -> str:
-    """The error in words, with a remedy."""
+    """Return the error in words, with a remedy."""
     if error.errno in (errno.EACCES, errno.EPERM):
         return f"{error.strerror}: put this user into the group gpio, or see the udev rules"
     return error.strerror or str(error)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several lines of one chip in one request, so that one call sets them all at once."""
+"""Requests for several lines of one GPIO chip at once, so that one call sets them all."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from motord_hal.gpio.pinmux import freeing_step, mux_owner, why_no_pull
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wanted:
-    """A line of the request, and what it is for."""
+    """A line to request, and its purpose."""
 
     line: str
     """Name, or number on the chip."""
     purpose: str
-    """For the error's sentence, as "joint left, pin in1"."""
+    """Purpose in words for error messages, such as "joint left, pin in1"."""
     high: bool = False
-    """Outputs: the level to begin with."""
+    """For outputs: the first level."""
 
 
 def request_outputs(
     chip: str, wanted: Sequence[Wanted], consumer: str, dev: Path = Path("/dev")
 ) -> int:
-    """Bit i of the request is `wanted[i]`. The caller closes the descriptor: whether the lines then
-    keep their levels depends on the chip. Raises PortError."""
+    """Request outputs; bit i of the request is `wanted[i]`. The caller closes the descriptor; it
+    depends on the chip whether the lines then keep their levels. Raises PortError."""
     settings = [
         LineSettings(
             direction=Direction.OUTPUT, output_value=Value.ACTIVE if line.high else Value.INACTIVE
@@ -45,7 +45,7 @@ def request_outputs(
 def request_inputs(
     chip: str, wanted: Sequence[Wanted], consumer: str, dev: Path = Path("/dev")
 ) -> int:
-    """As `request_outputs`."""
+    """Request inputs, as `request_outputs` does for outputs."""
     settings = [LineSettings(direction=Direction.INPUT) for _ in wanted]
     return _request(chip, wanted, settings, consumer, dev).fd
 
@@ -59,9 +59,9 @@ def request_edges(
     rising: bool,
     dev: Path = Path("/dev"),
 ) -> int:
-    """As `request_inputs`, for one input that also keeps its edges to be read: the rising ones, or
-    the falling ones. With both, the kernel would report the edge by the level that it finds
-    afterwards."""
+    """Request one input, whose rising or falling edges the kernel keeps to be read. With both, the
+    kernel would report an edge by the level that it finds afterwards. Otherwise as
+    `request_inputs`."""
     edge = Edge.RISING if rising else Edge.FALLING
     return _request(chip, [wanted], [_edges(edge, pull)], consumer, dev).fd
 
@@ -74,8 +74,9 @@ def request_all_edges(
     events: int,
     dev: Path = Path("/dev"),
 ) -> Request:
-    """As `request_inputs`, with the edges of all lines, in both directions, `events` of them at
-    least. They name lines by their numbers on the chip."""
+    """Request inputs with the edges of all lines in both directions, of which the kernel keeps at
+    least `events`. An edge names its line by the number on the chip. Otherwise as
+    `request_inputs`."""
     settings = [_edges(Edge.BOTH, pull) for _ in wanted]
     return _request(chip, wanted, settings, consumer, dev, events)
 
@@ -106,7 +107,7 @@ def _request(
 
 
 def check_pull(label: str, line: Wanted, pull: Bias) -> None:
-    """Raises PortError for a chip that ignores it."""
+    """Raise PortError if the chip ignores this pull."""
     if pull in (Bias.PULL_UP, Bias.PULL_DOWN) and (problem := why_no_pull(label)):
         raise PortError(f"{line.purpose}: {problem}")
 
@@ -141,7 +142,7 @@ def _refusal(chip: Chip, wanted: Sequence[Wanted], offsets: Sequence[int], error
 
 
 def _name_and_owner(chip: Chip, offset: int) -> tuple[str, str]:
-    """The owner of the line, else of its pin; empty if the chip does not report it."""
+    """Return the owner of the line, else of its pin; "" if the chip does not report it."""
     try:
         name, owner = chip.info(offset)
     except OSError:

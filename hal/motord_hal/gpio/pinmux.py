@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which step on this machine gives a pin the function that a robot file needs, and what uses the
-pin now.
+"""Steps that give a pin of this machine the function that a robot file needs, and the present user
+of a pin.
 
 Sources: Raspberry Pi firmware, overlays/README (pwm, pwm-2chan: pins and functions; func counts as
 the BCM2835 does, on the Pi 5 too) and the RP1 peripherals' table of functions; Jetson.GPIO's pin
@@ -25,7 +25,7 @@ _FREED_BY = {
     "spi": f"dtparam=spi=off in {CONFIG_TXT} frees it",
     "onewire": f"take dtoverlay=w1-gpio out of {CONFIG_TXT}",
 }
-"""On a Raspberry Pi, by how the owner's name begins."""
+"""Steps on a Raspberry Pi, by the beginning of the owner's name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +33,12 @@ class Carrier:
     """A pin that can carry a PWM channel."""
 
     chip: str
-    """Its device."""
+    """Name of the PWM chip's device."""
     channel: int
     pin: str
     number: int = 0
     function: int = 0
-    """Raspberry Pi: the overlay's pin and func."""
+    """For a Raspberry Pi: the overlay's `pin` and `func`."""
 
 
 def _pi(chip: str, *rows: tuple[int, int, int]) -> tuple[Carrier, ...]:
@@ -62,16 +62,17 @@ _BOARDS = (
     ("p3767", _jetson(("3280000.pwm", 0, 15), ("32e0000.pwm", 0, 32), ("32c0000.pwm", 0, 33))),
     ("p3701", _jetson(("3280000.pwm", 0, 15), ("32c0000.pwm", 0, 18))),
 )
-"""Part of one of the board's names in the device tree, and its carriers, the plainer ones first."""
+"""Part of a board's name in the device tree, and the pins there, the plainer ones first."""
 
 
 _WITHOUT_PULLS = "tegra"
-"""How the labels of the chips of all Jetsons begin. Their driver has no bias, and the kernel does
-not report that as an error: gpio_set_bias of drivers/gpio/gpiolib.c, tegra186_gpio_set_config."""
+"""Beginning of the chips' labels on all Jetsons. Their driver has no bias, and the kernel does not
+report that as an error: gpio_set_bias of drivers/gpio/gpiolib.c, tegra186_gpio_set_config."""
 
 
 def why_no_pull(label: str) -> str:
-    """Why a line of that chip cannot be pulled, and what to do; empty: it can, as far as known."""
+    """Return why a line of that chip cannot be pulled, and what to do; "": it can, as far as
+    known."""
     if not label.startswith(_WITHOUT_PULLS):
         return ""
     return (
@@ -97,8 +98,8 @@ def _carriers(tree: Path) -> tuple[Carrier, ...]:
 def pwm_step(
     chip: str, channels: Iterable[int], used: Collection[str] = (), tree: Path = TREE
 ) -> str:
-    """What makes pins of this machine carry these channels of the chip (part of its device's path),
-    in a sentence. `used`: names of GPIO lines that the robot file has other plans for."""
+    """Return, in a sentence, how pins of this machine get to carry these channels of the chip (part
+    of its device's path). `used`: GPIO lines that the robot file uses otherwise."""
     names, carriers = _compatible(tree), _carriers(tree)
     if not carriers:
         if "nvidia," in names:
@@ -138,7 +139,7 @@ def _header(chosen: list[Carrier]) -> str:
 
 
 def freeing_step(owner: str, tree: Path = TREE) -> str:
-    """How to take a pin or channel from a driver of the kernel, in a clause."""
+    """Return how to free a pin or channel from a driver of the kernel, in a clause."""
     names = _compatible(tree)
     if "brcm,bcm2" in names:
         other = f"take the dtoverlay or dtparam that gives it away out of {CONFIG_TXT}"
@@ -149,7 +150,7 @@ def freeing_step(owner: str, tree: Path = TREE) -> str:
 
 
 def pwm_owner(device: str, channel: int, debug: Path = DEBUG) -> str:
-    """Which driver in the kernel has a channel; empty if that cannot be read."""
+    """Return the kernel's driver that has a channel; "": no driver, or that cannot be read."""
     block = ""
     for row in _rows(debug / "pwm"):
         if not row.startswith(" "):
@@ -160,8 +161,8 @@ def pwm_owner(device: str, channel: int, debug: Path = DEBUG) -> str:
 
 
 def mux_owner(label: str, offset: int, debug: Path = DEBUG) -> str:
-    """The device that has a pin of the controller with that label; empty: none, or that cannot be
-    read."""
+    """Return the device that has a pin of the controller with that label; "": no device, or that
+    cannot be read."""
     for folder in _folders(debug, label):
         for row in _rows(folder / "pinmux-pins"):
             found = re.match(rf"pin {offset} \(\S+\): (?:device )?([^\s(]\S*)", row)
@@ -173,7 +174,7 @@ def mux_owner(label: str, offset: int, debug: Path = DEBUG) -> str:
 def not_muxed(
     device: str, channels: Collection[int], tree: Path = TREE, debug: Path = DEBUG
 ) -> str:
-    """A sentence if the kernel reports that no pin carries a channel of this chip; empty if one
+    """Return a sentence if the kernel reports that no pin carries a channel of this chip; "": one
     does, or that cannot be read."""
     shown = [row for folder in _folders(debug) for row in _rows(folder / "pinmux-pins")]
     carriers = [each for each in _carriers(tree) if each.chip == device and each.number]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packets of the hoverboard FOC firmware as pure functions, from the board's side, for the
-simulator; the line's own are in csrc/fieldbus/board/board_packets.c.
+simulator. The line builds its own in csrc/fieldbus/board/board_packets.c.
 
 Source: EFeru/hoverboard-firmware-hack-FOC: `usart_process_command` and `readCommand` in Src/util.c,
 the feedback in Src/main.c, `SERIAL_START_FRAME` and `SERIAL_TIMEOUT` in Inc/config.h. Words of 16
@@ -8,7 +8,7 @@ bits, low byte first: a start word, values, and the exclusive or of all words be
 
 In a drive profile with `protocol = "hoverboard"` a register's address is a byte behind the start
 word: access "w" in the command (0 left, 2 right), "r" in the feedback. With `protocol =
-"hoverboard-steer"` it is the same, and what goes out is steer and speed: left = speed + steer / 2,
+"hoverboard-steer"` it is the same, and motord sends steer and speed: left = speed + steer / 2,
 right = speed - steer / 2, the firmware's mixer with its default coefficients.
 """
 
@@ -34,7 +34,7 @@ _WORD = "<H"
 
 
 def _sum(packet: bytes) -> int:
-    """Exclusive or of its words."""
+    """Return the exclusive or of the packet's words."""
     total = 0
     for (word,) in struct.iter_unpack(_WORD, packet):
         total ^= word
@@ -42,14 +42,14 @@ def _sum(packet: bytes) -> int:
 
 
 def build(values: bytes) -> bytes:
-    """A packet with these values."""
+    """Return a packet with these values."""
     body = _START + values
     return body + struct.pack(_WORD, _sum(body))
 
 
 def parse(packet: bytes) -> bytes | None:
-    """The values of a packet; None: it is not one. The halves of two equal packets have a good sum,
-    too, but contain the start word, and no value comes near that."""
+    """Return the values of a packet; None: it is not a packet. The halves of two equal packets have
+    a good sum, too, but contain the start word, and no value comes near that."""
     if not packet.startswith(_START) or _sum(packet[:-2]) != int.from_bytes(packet[-2:], "little"):
         return None
     values = packet[2:-2]
@@ -57,8 +57,8 @@ def parse(packet: bytes) -> bytes | None:
 
 
 class Splitter:
-    """Cuts a stream into packets of one length. Bytes that begin no good packet are dropped one by
-    one: a packet may begin among them."""
+    """Splitter of a stream into packets of one length. Bytes that begin no good packet are dropped
+    one by one: a packet may begin among them."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -66,7 +66,7 @@ class Splitter:
         self._synced = False
 
     def feed(self, data: bytes) -> Iterator[bytes | None]:
-        """The values of each packet; None: bytes were dropped."""
+        """Yield the values of each packet; None: bytes were dropped."""
         self._tail += data
         while True:
             begin = self._begin()
@@ -86,7 +86,7 @@ class Splitter:
             yield values
 
     def _begin(self) -> int:
-        """Where the next packet may begin."""
+        """Return where the next packet may begin."""
         found = self._tail.find(_START)
         if found >= 0:
             return found
@@ -121,7 +121,7 @@ def _held(value: int) -> int:
 
 
 def commanded(profile: DriveProfile, values: bytes) -> dict[str, int]:
-    """Register → raw of each motor, as the firmware takes a command."""
+    """Return register → raw value of each motor, as the firmware understands a command."""
     one, other = map(_held, struct.unpack("<hh", values))
     if is_mixed(profile):
         one, other = _held(int(other + one / 2)), _held(int(other - one / 2))
@@ -130,7 +130,7 @@ def commanded(profile: DriveProfile, values: bytes) -> dict[str, int]:
 
 
 def feedback(profile: DriveProfile, raw: Callable[[str], int]) -> bytes:
-    """What a board sends; `raw` gives a register's value."""
+    """Return the packet that a board sends. `raw` returns a register's value."""
     values = bytearray(VALUE_BYTES)
     for register in _with_access(profile, "r"):
         low, high = register.raw_range

@@ -2,7 +2,7 @@
 """Registers of one device on an I2C bus: words of 16 bits, bytes, and rows of bytes.
 
 Each access is one SMBus transfer, which the kernel keeps in one piece: other programs may use the
-same I2C bus, and other drivers other devices on it.
+same I2C bus, and other drivers may use other devices on it.
 """
 
 from __future__ import annotations
@@ -20,36 +20,37 @@ if TYPE_CHECKING:
     from smbus2 import SMBus
 
 _I2C_SLAVE = 0x0703
-"""linux/i2c-dev.h."""
+"""Request to set the device's address, from linux/i2c-dev.h."""
 _SILENT = (errno.ENXIO, errno.EREMOTEIO, errno.ETIMEDOUT, errno.EAGAIN)
-"""No acknowledge, or an I2C bus that is held: Documentation/i2c/fault-codes.rst."""
+"""Errors of a device that does not acknowledge, or of an I2C bus that is held:
+Documentation/i2c/fault-codes.rst."""
 
 
 class Registers(Protocol):
     """Register access on an I2C bus, for a chip's driver. All methods raise HalError."""
 
     def read_word(self, register: int) -> int:
-        """16 bits, the byte that comes first is the upper one."""
+        """Read 16 bits; the first byte is the upper one."""
         ...
 
     def write_word(self, register: int, value: int) -> None: ...
 
     def read_row(self, register: int, size: int) -> bytes:
-        """A register of so many bytes, the upper one first."""
+        """Read a register of `size` bytes, the upper one first."""
         ...
 
     def close(self) -> None: ...
 
 
 class ByteRegisters(Protocol):
-    """As Registers, of a chip whose registers are bytes."""
+    """Register access like `Registers`, for a chip whose registers are bytes."""
 
     def read_byte(self, register: int) -> int: ...
 
     def write_byte(self, register: int, value: int) -> None: ...
 
     def read_row(self, register: int, size: int) -> bytes:
-        """This many registers from this one on, in one transfer; at most 32
+        """Read `size` registers from this one on in one transfer; at most 32
         (I2C_SMBUS_BLOCK_MAX)."""
         ...
 
@@ -57,8 +58,8 @@ class ByteRegisters(Protocol):
 
 
 class I2cDevice:
-    """One address of an I2C bus. Its calls block for as long as the transfer takes: some 0.4 ms,
-    and 1 s and more where a device holds the I2C bus."""
+    """One address on an I2C bus. A call blocks for as long as the transfer takes: some 0.4 ms, and
+    1 s and more if a device holds the I2C bus."""
 
     def __init__(self, bus: SMBus, address: int, where: str) -> None:
         self._bus = bus
@@ -67,7 +68,7 @@ class I2cDevice:
 
     @classmethod
     def open(cls, path: Path, address: int) -> Self:
-        """Raises PortError."""
+        """Open the bus. Raises PortError."""
         from smbus2 import SMBus  # imported only here: most robots have no I2C bus
 
         where = f"{path} at 0x{address:02x}"
@@ -78,27 +79,27 @@ class I2cDevice:
         return cls(bus, address, where)
 
     def read_word(self, register: int) -> int:
-        """As Registers. Raises NoReply, PortError, BadReply."""
+        """Implement `Registers.read_word`. Raises NoReply, PortError, BadReply."""
         with self._transfer(register):
             return _swapped(self._bus.read_word_data(self._address, register))
 
     def write_word(self, register: int, value: int) -> None:
-        """As Registers. Raises NoReply, PortError, BadReply."""
+        """Implement `Registers.write_word`. Raises NoReply, PortError, BadReply."""
         with self._transfer(register):
             self._bus.write_word_data(self._address, register, _swapped(value))
 
     def read_byte(self, register: int) -> int:
-        """As ByteRegisters. Raises NoReply, PortError, BadReply."""
+        """Implement `ByteRegisters.read_byte`. Raises NoReply, PortError, BadReply."""
         with self._transfer(register):
             return self._bus.read_byte_data(self._address, register)
 
     def write_byte(self, register: int, value: int) -> None:
-        """As ByteRegisters. Raises NoReply, PortError, BadReply."""
+        """Implement `ByteRegisters.write_byte`. Raises NoReply, PortError, BadReply."""
         with self._transfer(register):
             self._bus.write_byte_data(self._address, register, value)
 
     def read_row(self, register: int, size: int) -> bytes:
-        """As ByteRegisters. Raises NoReply, PortError, BadReply."""
+        """Implement `ByteRegisters.read_row`. Raises NoReply, PortError, BadReply."""
         from smbus2.smbus2 import (
             I2C_SMBUS,
             I2C_SMBUS_I2C_BLOCK_DATA,
@@ -121,7 +122,7 @@ class I2cDevice:
         return bytes(row)
 
     def close(self) -> None:
-        """Once."""
+        """Close the bus; must be called only once."""
         self._bus.close()
 
     @contextmanager
@@ -133,7 +134,8 @@ class I2cDevice:
 
 
 def _swapped(word: int) -> int:
-    """SMBus sends the lower byte first, these chips send the upper one first."""
+    """Swap the bytes of a word: SMBus sends the lower byte first, these chips send the upper one
+    first."""
     return int.from_bytes(word.to_bytes(2, "big"), "little")
 
 

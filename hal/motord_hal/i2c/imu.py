@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gyro and accelerometer of the MPU-6050 and LSM6DS families, by their registers.
+"""Gyro and accelerometer of the MPU-6050 and LSM6DS families, read through their registers.
 
 Sources: InvenSense RM-MPU-6000A (MPU-6050), RM-MPU-6500A and RM-MPU-9250A; ST data sheets of
 LSM6DS3 (DocID026899), LSM6DSO (DS12140) and ISM330DHCX (DS13012); registers and identities compared
@@ -19,14 +19,16 @@ from motord_hal.base.errors import BadReply
 from motord_hal.i2c.bus import ByteRegisters
 
 STANDARD_GRAVITY_M_S2 = 9.80665
-"""CODATA."""
+"""Standard acceleration of gravity, from CODATA."""
 STUCK_SAMPLES = 50
-"""After so many equal samples in a row, of six noisy numbers, the chip has stopped converting."""
+"""Number of equal samples in a row, of six noisy numbers, after which the chip has stopped
+converting."""
 CHECK_EVERY_SAMPLES = 100
-"""How often the set-up is read back: a chip that lost its power has lost it and reads zero."""
+"""Interval at which the set-up is read back: a chip that was without power has lost it and reads
+zero."""
 _COUNTS_MAX = 32767
 _FULL_MPU, _FULL_LSM = 32768.0, 1e3 / 8.75 * 250.0
-"""Counts of the nominal full scale; LSM6DS: 8.75 mdps a count at 250 dps."""
+"""Counts at the nominal full scale. LSM6DS: 8.75 mdps a count at 250 dps."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,22 +37,22 @@ class Family:
 
     identity_register: int
     reset: tuple[int, int]
-    """Register and value; set-up has to wait for RESET_S afterwards."""
+    """Register and value that reset the chip. Set-up has to wait for RESET_S afterwards."""
     ranges_dps: tuple[float, ...]
     full_counts: float
     first: int
-    """The first of the registers that are read in one row."""
+    """First of the registers that are read in one row."""
     row: struct.Struct
     gyro_at: int
-    """Place of the gyro's x in the row."""
+    """Position of the gyro's x in the row."""
     acceleration_at: int
     acceleration_g: float
-    """The acceleration of one count."""
+    """Acceleration of one count."""
     default_address: int
 
 
 RESET_S = 0.1
-"""Both families need less, and their gyros are up by then too."""
+"""Time after a reset. Both families need less, and their gyros have started by then, too."""
 
 _MPU = Family(
     identity_register=0x75,
@@ -86,31 +88,31 @@ CHIPS = MappingProxyType(
         "ism330dhcx": (_LSM, (0x6B,)),
     }
 )
-"""By name: the family, and what its identity register reads."""
+"""Name of a chip → its family, and the possible values of its identity register."""
 
 
 def _set_up_mpu(rate_hz: float, range_place: int) -> tuple[tuple[int, int], ...]:
-    """Clock from the gyro's PLL; low pass of 44 Hz (DLPF 3), which makes 1 kHz inside; divider;
-    ±4 g."""
+    """Return the set-up: clock from the gyro's PLL; low pass of 44 Hz (DLPF 3), which makes the
+    internal rate 1 kHz; divider; ±4 g."""
     divider = min(max(round(1000.0 / rate_hz) - 1, 0), 255)
     return (0x6B, 0x01), (0x1A, 0x03), (0x19, divider), (0x1B, range_place << 3), (0x1C, 0x08)
 
 
 def _set_up_lsm(rate_hz: float, range_place: int) -> tuple[tuple[int, int], ...]:
-    """Both bytes of a number from one sample (BDU), registers that count on; ±4 g; twice as often
-    as it is read, at 208, 416 or 833 Hz."""
+    """Return the set-up: both bytes of a number from one sample (BDU), automatic increment of the
+    register address; ±4 g; twice the reading rate, at 208, 416 or 833 Hz."""
     rate = 0x50 if rate_hz <= 104.0 else 0x60 if rate_hz <= 208.0 else 0x70
     return (0x12, 0x44), (0x10, rate | 0x08), (0x11, rate | range_place << 2)
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """One sample about the sensor's own axes."""
+    """One sample, about the sensor's own axes."""
 
     angular_rad_s: tuple[float, ...]
     acceleration_m_s2: tuple[float, ...]
     saturated: bool
-    """A rate is at the end of the scale."""
+    """Whether a rate is at the end of the scale."""
 
 
 class ImuChip:
@@ -125,8 +127,8 @@ class ImuChip:
         range_rad_s: float,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        """`kind`: of CHIPS. `range_rad_s`: the smallest scale that holds it is taken. Blocks for
-        RESET_S. Raises HalError."""
+        """Recognise the chip and set it up. `kind` is a key of CHIPS. The smallest scale that
+        includes `range_rad_s` is used. Blocks for twice RESET_S. Raises HalError."""
         self._family, identities = CHIPS[kind]
         self._registers = registers
         found = registers.read_byte(self._family.identity_register)
@@ -148,8 +150,8 @@ class ImuChip:
         self._before = b""
 
     def read(self) -> Motion:
-        """Raises HalError, also if the chip has lost its set-up or repeats one sample: it has to be
-        opened again."""
+        """Read one sample. Raises HalError, also if the chip has lost its set-up or repeats one
+        sample: it has to be opened again."""
         family = self._family
         data = self._registers.read_row(family.first, family.row.size)
         self._samples += 1
@@ -186,7 +188,7 @@ class ImuChip:
 
 
 def range_place(family: Family, range_rad_s: float) -> int:
-    """The smallest scale that includes it; the largest one if none does."""
+    """Return the index of the smallest scale that includes the range, else of the largest scale."""
     for place, range_dps in enumerate(family.ranges_dps):
         if math.radians(range_dps) >= range_rad_s:
             return place

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a chip at an even rate, in a thread of its own: a device that holds the I2C bus blocks
-for seconds, and neither asyncio nor the real-time loop may wait for it."""
+"""Reads a chip at an even rate in its own thread. A device that holds the I2C bus blocks for
+seconds, and neither asyncio nor the real-time loop may wait for it."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from motord_hal.i2c.imu import ImuChip
 from motord_hal.realtime.exchange import Exchange
 
 LATE_NS = 20_000_000
-"""A transfer takes some 0.5 ms; a sample that took longer than this has no known time."""
+"""Limit for a transfer, which takes some 0.5 ms. The time of a sample that took longer is
+unknown."""
 LATE_MAX = 50
-"""After so many late ones in a row the I2C bus is too slow, or held; the machine is not just
-busy."""
+"""Number of late samples in a row after which the I2C bus is too slow or held, and the machine not
+just busy."""
 TRIES = 3
-"""Failed reads in a row before the chip is given up."""
+"""Number of failed reads in a row after which the chip is given up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuSpec:
-    """A chip, and how it is read."""
+    """A chip, and its settings."""
 
     kind: str
-    """Of motord_hal.i2c.imu.CHIPS."""
+    """Key of motord_hal.i2c.imu.CHIPS."""
     rate_hz: float
     range_rad_s: float
     mounting: Mounting
 
 
 class ImuReader:
-    """`run` is the thread. Samples go to the loop's mailbox; nothing else may write to it."""
+    """Reader whose `run` is the thread. It alone may write samples to the loop's mailbox."""
 
     def __init__(
         self, spec: ImuSpec, open_device: Callable[[], ByteRegisters], exchange: Exchange
@@ -47,11 +48,11 @@ class ImuReader:
         self._stopped = threading.Event()
         self._epoch = 0
         self.samples = 0
-        """Handed on so far."""
+        """Number of samples handed on so far."""
         self._late = 0
 
     def stop(self) -> None:
-        """From any thread: `run` returns after the transfer in progress."""
+        """Make `run` return after the transfer in progress. Any thread may call this."""
         self._stopped.set()
 
     def run(self) -> None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""INA219, INA226, INA228 and INA238: bus voltage, current by the voltage over a shunt, and of the
-last two their own temperature.
+"""INA219, INA226, INA228 and INA238: bus voltage, current from the voltage over a shunt, and for
+the last two the chip's temperature.
 
 Sources: the register maps of Texas Instruments' data sheets SBOS448 (INA219), SBOS547 (INA226),
 SLYS021 (INA228) and SLYS025 (INA238); counts and set-up compared with the kernel's
@@ -19,13 +19,13 @@ from motord_hal.i2c.bus import Registers
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
-    """A number that the chip measures."""
+    """A measured number, and its place in a register."""
 
     register: int
     unit: float
-    """V or °C of one count."""
+    """Size of one count in V or °C."""
     shift: int = 0
-    """Bits below it in its register."""
+    """Number of bits below the value in its register."""
     register_bytes: int = 2
     signed: bool = False
 
@@ -35,17 +35,18 @@ class Chip:
     """The differences between the chips."""
 
     settings: tuple[tuple[int, int], ...]
-    """Register and content: continuous measuring of everything, averaged over some 50 to 70 ms."""
+    """Registers and contents: continuous measuring of all values, averaged over some 50 to 70
+    ms."""
     shunt: Field
     shunt_max: int
-    """Counts at the end of the scale: more than that was cut off."""
+    """Counts at the end of the scale. A greater value was cut off."""
     bus: Field
     overflow: int = 0
-    """Bit of the bus voltage register: what was computed from it is wrong."""
+    """Bit of the bus voltage register that marks computed values as wrong; 0: no such bit."""
     temperature: Field | None = None
-    """Of the chip itself."""
+    """The chip's own temperature; None: it is not measured."""
     identity: tuple[tuple[int, int, int], ...] = ()
-    """Register, mask and content by which the chip is known."""
+    """Registers, masks and contents by which the chip is recognised."""
 
 
 _TI = 0x5449
@@ -79,7 +80,7 @@ CHIPS = MappingProxyType(
             temperature=Field(register=0x06, unit=7.8125e-3, signed=True),
             identity=((0x3E, 0xFFFF, _TI), (0x3F, 0xFFF0, 0x2280)),
         ),
-        # SLYS025: as the INA228, 16 bits: 5 uV; 3.125 mV; 0.125 °C in bits 15..4
+        # SLYS025: like the INA228, but 16 bits: 5 uV; 3.125 mV; 0.125 °C in bits 15..4
         "ina238": Chip(
             settings=((0x00, 0x0000), (0x01, 0xFB6A)),
             shunt=Field(register=0x04, unit=5e-6, signed=True),
@@ -94,19 +95,19 @@ CHIPS = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class Power:
-    """One measure. `current_a` is positive from IN+ to IN-; NaN beyond the chip's scale."""
+    """One measurement. `current_a` is positive from IN+ to IN-; NaN beyond the chip's scale."""
 
     voltage_v: float
     current_a: float
     chip_c: float = float("nan")
-    """Of the chip itself; NaN where it does not measure it."""
+    """Temperature of the chip itself; NaN if not measured."""
 
 
 class Ina:
     """One chip that has been recognised and set up."""
 
     def __init__(self, kind: str, registers: Registers, shunt_ohm: float) -> None:
-        """`kind`: of CHIPS. Raises HalError."""
+        """Recognise the chip and set it up. `kind` is a key of CHIPS. Raises HalError."""
         self._chip = chip = CHIPS[kind]
         self._registers = registers
         self._shunt_ohm = shunt_ohm
@@ -118,8 +119,8 @@ class Ina:
         self._check_settings()
 
     def read(self) -> Power:
-        """Raises HalError, also if the chip has lost its set-up: it was without power, and has to
-        be opened again."""
+        """Read the values. Raises HalError, also if the chip has lost its set-up: it was without
+        power, and has to be opened again."""
         self._check_settings()
         chip = self._chip
         bus, shunt = self._raw(chip.bus), self._raw(chip.shunt)
@@ -152,6 +153,6 @@ class Ina:
 
 
 def _counts(field: Field, raw: int) -> int:
-    """The counts in a register, as it was read."""
+    """Return the counts in a register's raw value."""
     bits = 8 * field.register_bytes
     return (raw - (1 << bits) if field.signed and raw >> (bits - 1) else raw) >> field.shift

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Consistent overhead byte stuffing: bytes without a zero, so that zeros can separate frames.
+"""Consistent overhead byte stuffing: removes zeros from data, so that zeros can separate frames.
 
 Source: Cheshire & Baker, Consistent Overhead Byte Stuffing, IEEE/ACM Transactions on Networking
 7(2), 1999.
@@ -8,11 +8,11 @@ Source: Cheshire & Baker, Consistent Overhead Byte Stuffing, IEEE/ACM Transactio
 from __future__ import annotations
 
 _BLOCK_MAX = 254
-"""Bytes behind one code byte; the code 255 means that no zero follows them."""
+"""Most bytes behind one code byte. The code 255 means that no zero follows them."""
 
 
 def encode(data: bytes) -> bytes:
-    """Without zeros; one byte longer, and one more for each 254."""
+    """Return the data without zeros: one byte longer, and one more for each 254."""
     out = bytearray()
     for number, run in enumerate(runs := data.split(b"\0")):
         while len(run) >= _BLOCK_MAX:
@@ -25,7 +25,7 @@ def encode(data: bytes) -> bytes:
 
 
 def decode(data: bytes) -> bytes:
-    """The decoded bytes. Raises ValueError for bytes that `encode` never makes."""
+    """Return the decoded bytes. Raises ValueError for bytes that `encode` never makes."""
     out = bytearray()
     at = 0
     while at < len(data):

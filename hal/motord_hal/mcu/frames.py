@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames between motord and a board, as pure functions: docs/mcu-frame.md is their description.
-Shared by the line and the simulator.
+"""Frames between motord and a board, as pure functions. docs/mcu-frame.md describes them. The line
+and the simulator share them.
 
 A frame is version, type, sequence, time stamp, payload and CRC, stuffed by `cobs` and put between
-zeros. In a drive profile with `protocol = "mcu-frame"` a register's address is a byte of the
+zeros. In a drive profile with `protocol = "mcu-frame"` a register's address is a position in the
 payload: access "w" in the set-points, "r" in the feedback, "rw" at the same place in both. Numbers
-stand low byte first, as all usual microcontrollers keep them.
+stand low byte first, as in all usual microcontrollers.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from motord_hal.mcu import cobs
 
 VERSION = 1
 FRAME_BYTES_MAX = 200
-"""Without stuffing. 8 motors need 106."""
+"""Limit without stuffing. 8 motors need 106."""
 SETPOINTS_HEAD_BYTES = 6
 SETPOINTS_MOTOR_BYTES = 6
 FEEDBACK_HEAD_BYTES = 16
 FEEDBACK_MOTOR_BYTES = 10
 RESTARTED = 8
-"""The bit of status that a board sets when it starts, until the same bit of control is set."""
+"""Bit of status that a board sets when it starts, until the same bit of control is set."""
 HAS_IMU = 16
-"""The bit of status with which an inertial sensor's sample follows the motors."""
+"""Bit of status: an inertial sensor's sample follows the motors."""
 HELD_UNIT_S = 0.0001
 RATE_UNIT_RAD_S = 1e-6
 ACCELERATION_UNIT_M_S2 = 1e-3
 IMU_SATURATED = 1
-"""The bit of the sensor's flags for a rate at the end of its scale."""
+"""Bit of the sensor's flags: a rate is at the end of its scale."""
 
 _HEAD = struct.Struct("<BBHI")
 _CRC = struct.Struct("<H")
 _IMU = struct.Struct("<3i3hH")
 _NO_RATE, _NO_ACCELERATION = -(1 << 31), -(1 << 15)
-"""Not measured."""
+"""Raw values that mean "not measured"."""
 _TIME_US = 1 << 32
 
 
@@ -59,18 +59,19 @@ class Frame:
     type: int
     sequence: int
     time_us: int
-    """Of the sender's clock, modulo 2^32."""
+    """Time of the sender's clock, modulo 2^32."""
     payload: bytes
 
 
 def crc16(data: bytes, start: int = 0xFFFF) -> int:
-    """Polynomial 0x1021, not reflected: CRC-16/IBM-3740 (start 0xFFFF), CRC-16/XMODEM (start 0)."""
+    """Return a CRC with polynomial 0x1021, not reflected: CRC-16/IBM-3740 (start 0xFFFF),
+    CRC-16/XMODEM (start 0)."""
     return binascii.crc_hqx(data, start)
 
 
 def build(frame: Frame) -> bytes:
-    """As it goes out: a zero, the stuffed frame, a zero. The first one ends noise that came
-    before."""
+    """Return the bytes on the wire: a zero, the stuffed frame, a zero. The first zero ends noise
+    that came before."""
     head = _HEAD.pack(VERSION, frame.type, frame.sequence & 0xFFFF, frame.time_us % _TIME_US)
     body = head + frame.payload
     if len(body) + _CRC.size > FRAME_BYTES_MAX:
@@ -79,7 +80,7 @@ def build(frame: Frame) -> bytes:
 
 
 def parse(stuffed: bytes) -> Frame:
-    """The frame between two zeros. Raises FrameError."""
+    """Return the frame that stood between two zeros. Raises FrameError."""
     try:
         raw = cobs.decode(stuffed)
     except ValueError as error:
@@ -96,15 +97,16 @@ def parse(stuffed: bytes) -> Frame:
 
 
 class Splitter:
-    """Cuts a stream of bytes at its zeros. Bytes without an end are dropped, not kept."""
+    """Splitter of a stream of bytes at its zeros. Of bytes without an end, only a limited number is
+    kept."""
 
     def __init__(self) -> None:
         self._tail = bytearray()
         self._too_long = False
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """The non-empty pieces between zeros; a piece that is too long is cut, so that it counts as
-        no frame."""
+        """Yield the non-empty pieces between zeros. A piece that is too long is cut, so that it is
+        no valid frame."""
         for number, piece in enumerate(data.split(b"\0")):
             if number and (self._tail or self._too_long):
                 yield bytes(self._tail)
@@ -116,7 +118,7 @@ class Splitter:
 
 
 def wire_bytes(motors: int, *, imu: bool = False) -> int:
-    """Bytes of the longer of both frames, with the zeros and the stuffing's byte."""
+    """Return the bytes of the longer of both frames, with the zeros and the stuffing's byte."""
     setpoints = SETPOINTS_HEAD_BYTES + SETPOINTS_MOTOR_BYTES * motors
     feedback = FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors + imu * _IMU.size
     return _HEAD.size + max(setpoints, feedback) + _CRC.size + 3
@@ -127,7 +129,7 @@ def size_bytes(register: Register) -> int:
 
 
 def place(payload: bytearray, register: Register, raw: int) -> None:
-    """Write a raw value at its register's place. Raises ValueError where it does not fit."""
+    """Write a raw value at its register's place. Raises ValueError if it does not fit."""
     low, high = register.raw_range
     if not low <= raw <= high:
         raise ValueError(f"{register.name}: {raw} does not fit {register.type.value}")
@@ -137,7 +139,7 @@ def place(payload: bytearray, register: Register, raw: int) -> None:
 
 
 def pick(payload: bytes, register: Register) -> int:
-    """The register's raw value. Raises FrameError where the payload is too short for it."""
+    """Return the register's raw value. Raises FrameError if the payload is too short."""
     size = size_bytes(register)
     data = payload[register.address : register.address + size]
     if len(data) != size:
@@ -148,7 +150,7 @@ def pick(payload: bytes, register: Register) -> int:
 def setpoints_payload(
     registers: Iterable[Register], raw: Mapping[str, int], motors: int, feedback_s: float
 ) -> bytes:
-    """What goes to the board; registers without a value are 0."""
+    """Return the payload to the board. Registers without a value are 0."""
     payload = bytearray(SETPOINTS_HEAD_BYTES + SETPOINTS_MOTOR_BYTES * motors)
     for register in registers:
         if "w" in register.access:
@@ -160,11 +162,11 @@ def setpoints_payload(
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """What the board reports of the newest set-points that it received."""
+    """The board's report on the newest set-points that it received."""
 
     sequence: int
     held_s: float
-    """From receiving them to this feedback."""
+    """Time from receiving them to this feedback."""
 
 
 def feedback_payload(
@@ -174,7 +176,7 @@ def feedback_payload(
     period_ms: int,
     received: Received,
 ) -> bytes:
-    """What a board sends: the simulator's side."""
+    """Return the payload that a board sends, for the simulator."""
     payload = bytearray(FEEDBACK_HEAD_BYTES + FEEDBACK_MOTOR_BYTES * motors)
     for register in registers:
         if "r" in register.access:
@@ -187,7 +189,8 @@ def feedback_payload(
 
 @dataclass(frozen=True, slots=True)
 class BoardImu:
-    """A sample of an inertial sensor on the board, about its own axes. NaN: not measured."""
+    """A sample of an inertial sensor on the board, about the sensor's own axes. NaN: not
+    measured."""
 
     angular_rad_s: tuple[float, ...]
     acceleration_m_s2: tuple[float, ...]
@@ -195,7 +198,7 @@ class BoardImu:
 
 
 def imu_payload(imu: BoardImu) -> bytes:
-    """What a board appends to its feedback: the simulator's side."""
+    """Return the bytes that a board appends to its feedback, for the simulator."""
     rates = (_count(rate, RATE_UNIT_RAD_S, _NO_RATE) for rate in imu.angular_rad_s)
     accelerations = (
         _count(value, ACCELERATION_UNIT_M_S2, _NO_ACCELERATION) for value in imu.acceleration_m_s2

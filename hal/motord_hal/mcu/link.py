@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A serial port as a stream in both directions on asyncio: bytes are handed on as they come."""
+"""A serial port as a stream in both directions on asyncio. Received bytes are handed on as they
+come."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ FRAMES_WAITING_MAX = 2
 
 
 class Stream:
-    """One port. `received` is called with what came, from the event loop."""
+    """One port. The event loop calls `received` with the bytes that came."""
 
     def __init__(self, spec: LineSpec, received: Callable[[bytes], None]) -> None:
         self._spec = spec
@@ -27,14 +28,14 @@ class Stream:
         self._lost = ""
 
     def open(self) -> None:
-        """Raises PortError."""
+        """Open the port, and close it first if it is open. Raises PortError."""
         self.close()
         self._port, self._lost = open_port(self._spec), ""
         self._port.flush()
         asyncio.get_running_loop().add_reader(self._port.fd, self._read)
 
     def close(self) -> None:
-        """Nothing happens when it is not open."""
+        """Close the port; does nothing if it is not open."""
         if self._port is not None:
             asyncio.get_running_loop().remove_reader(self._port.fd)
             self._port.close()
@@ -59,7 +60,7 @@ class Stream:
         self.close()
 
     def send(self, data: bytes) -> bool:
-        """Send it, unless older frames still wait: behind them it would come late. Returns whether
+        """Send data, unless older frames still wait: behind them it would come late. Return whether
         it was sent. Raises PortError."""
         if self._port is None:
             raise PortError(f"{self._spec.port} went away: {self._lost or 'it is closed'}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often frames go over a stream line: the robot file's rate, limited by the wire."""
+"""Rate of frames on a stream line: the robot file's rate, limited by the wire."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from motord_hal.fieldbus.ports import LineSpec
 from motord_hal.modbus.codec import frame_time_s
 
 WIRE_SHARE_MAX = 0.9
-"""The clocks of both ends differ: on a full wire, frames would queue up more and more."""
+"""Usable share of the wire. Clocks of both ends differ: on a full wire, ever more frames would
+queue."""
 
 
 def wire_limit_hz(spec: LineSpec, wire_bytes: int) -> float:
-    """Frames a second; set-points and feedback have a wire each, the longer one counts."""
+    """Return frames a second. Set-points and feedback have a wire each; the longer one counts."""
     return 1.0 / frame_time_s(wire_bytes, spec.baudrate, spec.parity, spec.stop_bits)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modbus RTU frames as pure functions: what goes on the wire, what comes back, how long it takes.
+"""Modbus RTU frames as pure functions: building, parsing, and times on the wire.
 
 Sources: MODBUS Application Protocol Specification V1.1b3 (functions, limits, exceptions) and
 MODBUS over Serial Line V1.02 (frame, CRC in 2.5.1.2, silent intervals in 2.5.1.1).
@@ -22,12 +22,13 @@ EXCEPTION_FLAG = 0x80
 READ_REGISTERS_MAX = 125
 WRITE_REGISTERS_MAX = 123
 READ_WRITE_WRITE_REGISTERS_MAX = 121
-"""V1.1b3, 6.3, 6.12, 6.17: the most registers of one request."""
+"""Greatest number of registers in one request: V1.1b3, 6.3, 6.12, 6.17."""
 
 SILENT_CHARACTERS = 3.5
 SILENT_FIXED_S = 1.75e-3
 SILENT_FIXED_ABOVE_BAUDRATE = 19200
-"""Serial Line V1.02, 2.5.1.1: 3.5 characters, above 19200 baud a fixed 1.750 ms."""
+"""Silent interval, Serial Line V1.02, 2.5.1.1: 3.5 characters, above 19200 baud a fixed 1.750
+ms."""
 
 EXCEPTION_TEXT = MappingProxyType(
     {
@@ -64,7 +65,7 @@ _CRC_TABLE = reflected_table(0xA001)
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/MODBUS (polynomial 0xA001 reflected, start 0xFFFF)."""
+    """Return the CRC-16/MODBUS (polynomial 0xA001 reflected, start 0xFFFF)."""
     crc = 0xFFFF
     for byte in data:
         crc = crc >> 8 ^ _CRC_TABLE[(crc ^ byte) & 0xFF]
@@ -72,12 +73,12 @@ def crc16(data: bytes) -> int:
 
 
 def seal(body: bytes) -> bytes:
-    """Body with its CRC behind it, low byte first."""
+    """Return the body with its CRC appended, low byte first."""
     return body + crc16(body).to_bytes(2, "little")
 
 
 def sealed(frame: bytes) -> bool:
-    """Whether the last two bytes are the CRC of the ones before."""
+    """Whether the last two bytes are the CRC of the bytes before."""
     return len(frame) >= 4 and crc16(frame[:-2]) == int.from_bytes(frame[-2:], "little")
 
 
@@ -90,7 +91,7 @@ class Request:
     address: int
     count: int = 0
     write_address: int = 0
-    """Only of READ_WRITE: the address of `values`; `address` and `count` are for the read."""
+    """Only for READ_WRITE: the address of `values`; `address` and `count` are for the read."""
     values: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
@@ -126,7 +127,7 @@ def _request_problem(request: Request) -> str:
 
 
 def build_request(request: Request) -> bytes:
-    """The request's frame."""
+    """Return the request's frame."""
     head = struct.pack(">BB", request.unit, request.function)
     words = struct.pack(f">{len(request.values)}H", *request.values)
     match request.function:
@@ -144,8 +145,8 @@ def build_request(request: Request) -> bytes:
 
 
 def request_bytes(head: bytes) -> int | None:
-    """Length of the whole request that begins with these bytes; None: too few bytes. Raises
-    FrameError for an unknown function."""
+    """Return the length of the whole request that begins with these bytes; None: too few bytes.
+    Raises FrameError for an unknown function."""
     if len(head) < 2:
         return None
     function = head[1]
@@ -159,7 +160,8 @@ def request_bytes(head: bytes) -> int | None:
 
 
 def parse_request(frame: bytes) -> Request:
-    """The request in a whole frame. Raises CrcError, or FrameError if it is not a request."""
+    """Return the request in a whole frame. Raises CrcError, or FrameError if it is not a
+    request."""
     if len(frame) < 4:
         raise FrameError(f"{len(frame)} bytes are no frame")
     if not sealed(frame):
@@ -196,11 +198,12 @@ class Reply:
 
     values: tuple[int, ...] = ()
     exception: int | None = None
-    """The standard has no code 0, but a drive may send it: a refusal like any other."""
+    """Exception code; None: no exception. Code 0 is not in the standard, but counts as a refusal,
+    too."""
 
 
 def reply_bytes(request: Request) -> int:
-    """Length of the good reply's frame; 0 to a broadcast, which is not answered."""
+    """Return the length of the good reply's frame; 0 to a broadcast, which is not answered."""
     if request.unit == BROADCAST_UNIT:
         return 0
     if request.function in (Function.WRITE_SINGLE, Function.WRITE_MULTIPLE):
@@ -212,7 +215,7 @@ EXCEPTION_BYTES = 5
 
 
 def build_reply(request: Request, values: tuple[int, ...] = ()) -> bytes:
-    """The good reply to a request; `values` are the words read."""
+    """Return the good reply to a request. `values` are the read words."""
     head = struct.pack(">BB", request.unit, request.function)
     match request.function:
         case Function.WRITE_SINGLE:
@@ -231,8 +234,8 @@ def build_exception(unit: int, function: int, code: int) -> bytes:
 
 
 def parse_reply(request: Request, frame: bytes) -> Reply:
-    """The answer to exactly this request: unit, function, length, write echo and CRC all fit.
-    Raises CrcError or FrameError with the one that does not."""
+    """Return the answer to exactly this request: unit, function, length, write echo and CRC all
+    fit. Raises CrcError or FrameError with the first mismatch."""
     if len(frame) < EXCEPTION_BYTES:
         raise FrameError(f"{len(frame)} bytes are no reply")
     if not sealed(frame):
@@ -255,17 +258,17 @@ def parse_reply(request: Request, frame: bytes) -> Reply:
 
 
 def character_bits(parity: str, stop_bits: int) -> int:
-    """Bits of one character on the wire: start, eight data, parity, stop."""
+    """Return the bits of one character on the wire: start, eight data, parity, stop."""
     return 9 + (parity != "none") + stop_bits
 
 
 def frame_time_s(size_bytes: int, baudrate: int, parity: str, stop_bits: int) -> float:
-    """How long a frame of `size_bytes` occupies the wire."""
+    """Return the time for which a frame of `size_bytes` occupies the wire."""
     return size_bytes * character_bits(parity, stop_bits) / baudrate
 
 
 def silent_interval_s(baudrate: int, bits: int) -> float:
-    """Silence that is required before a frame; `bits` of one character (see character_bits)."""
+    """Return the silence required before a frame. `bits` is that of one character."""
     if baudrate > SILENT_FIXED_ABOVE_BAUDRATE:
         return SILENT_FIXED_S
     return SILENT_CHARACTERS * bits / baudrate

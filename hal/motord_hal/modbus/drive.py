@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive on the line: what it gets each cycle, what it reports, whether it still responds."""
+"""One Modbus drive: what it gets in each cycle, what it reports, whether it still responds."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PROBE_LIMIT_S = 2.0
 
 
 class Drive(AsyncioDrive[DrivePlan]):
-    """One unit. All its waiting runs in the line's one task."""
+    """One unit on the line. All methods that wait run in the line's one task."""
 
     def __init__(
         self, plan: DrivePlan, link: Link, exchange: Exchange, spec: LineSpec, say: Say
@@ -54,13 +54,13 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._probes: deque[Request] = deque()
         self._probes_at_once = 0
         self._usual_s = 0.0
-        """Twice the longest recent round trip: other drives wait no longer for their stop."""
+        """About twice the longest recent round trip. Other drives wait no longer for their stop."""
         self._asked_s = 0.0
-        """When it received the newest request that it has answered."""
+        """Time at which the drive received the newest request that it has answered."""
         self._left_alone = False
-        """Its watchdog has bitten since it was armed."""
+        """Whether the drive's watchdog has expired since it was armed."""
         self._power_off_left: Sequence[Step] = ()
-        """The steps of the final power-off that were not answered."""
+        """Steps of the final power-off that were not answered."""
 
     def __str__(self) -> str:
         return f"{', '.join(self.names)} (unit {self.plan.unit})"
@@ -108,7 +108,7 @@ class Drive(AsyncioDrive[DrivePlan]):
 
     # ----------------------------------------------------------------------------- the cyclic part
     async def cycle(self, wanted: Callable[[], Wanted]) -> None:
-        """Set-points out, feedback in. Failures are counted, not raised; PortError passes."""
+        """Send set-points and read feedback. Failures are counted, not raised; PortError passes."""
         try:
             await self._exchange_cyclic(wanted())
             self._publish()
@@ -124,13 +124,13 @@ class Drive(AsyncioDrive[DrivePlan]):
         raw = self.plan.setpoints(wanted)
         motion = self.plan.wants_motion(wanted)
         self.sent_motion |= motion
-        # motion from before a pause of the process is not sent after it
+        # motion from before a pause of the process is not sent after the pause
         good_for_s = min(self._watchdog_s, self._setpoint_timeout_s + self.plan.slowest_cycle_s())
         send_by_s = now_s() + good_for_s if motion else math.inf
         armed = self.state is DriveState.ARMED
         directions = self.plan.directions(wanted, raw) if armed else {}
         for register, direction in directions.items():
-            # never a new magnitude in the old direction, even if the next frame is lost
+            # a new magnitude never goes out in the old direction, even if the next frame is lost
             if direction not in (self._directions.get(register), self.plan.rests[register]):
                 await self._turn({register: self.plan.rests[register]})
         exchanges = self.plan.cyclic(raw)
@@ -152,8 +152,8 @@ class Drive(AsyncioDrive[DrivePlan]):
                 self._last_directions[register] = direction
 
     def _check_setup(self) -> None:
-        """Check its set-up: after a short power failure a drive answers as before, but without its
-        watchdog."""
+        """Check that the drive has kept its set-up: after a short power failure it answers as
+        before, but without its watchdog."""
         for step in self._kept:
             raw = self._values.get(step.register)
             if raw is not None and raw & step.mask != step.equals:
@@ -163,7 +163,8 @@ class Drive(AsyncioDrive[DrivePlan]):
                 return
 
     def _due_extra(self) -> ReadRange | None:
-        """Read one range that may wait; first the one with the enabled state."""
+        """Return the range to read now that may wait, if any; first the one with the enabled
+        state."""
         extra, enabled_place = self.plan.extra, self.plan.profile.enabled
         if enabled_place is not None and enabled_place.register not in self._values:
             telling = (
@@ -188,11 +189,12 @@ class Drive(AsyncioDrive[DrivePlan]):
 
     # ---------------------------------------------------------------------------- the acyclic part
     def opened(self) -> None:
-        """As AsyncioDrive.opened."""
+        """Implement `AsyncioDrive.opened`."""
         self.configure("the line has just been opened")
 
     def arming(self) -> Job:
-        """Zero in its set-point registers, a check of its set-up, then the profile's own steps."""
+        """Return the job that arms: zero in the set-points, a check of the set-up, the profile's
+        steps."""
         return Job("arm", (*self.plan.zero_steps(), *self._kept, *self.plan.profile.arm))
 
     def _forget(self, error: HalError) -> None:
@@ -202,7 +204,7 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._failures = 0
 
     async def slot(self) -> None:
-        """One exchange of the first job. Failures are counted, not raised; PortError passes."""
+        """Do one exchange of the first job. Failures are counted, not raised; PortError passes."""
         job = self.jobs[0]
         if job.done.done():  # its caller has given up
             self._drop(job)
@@ -227,7 +229,7 @@ class Drive(AsyncioDrive[DrivePlan]):
             self._job_failed(job, error)
 
     def _job_refused(self, job: Job, error: Refused) -> None:
-        """The drive answers and refuses. In a stop, the next write may still work."""
+        """Handle a refused step. In a stop, the next write may still work."""
         if not job.urgent:
             self._job_failed(job, error)
             return
@@ -288,8 +290,8 @@ class Drive(AsyncioDrive[DrivePlan]):
         self.probe_at_s = now_s() + self._probe_pause_s()
 
     def _probe_requests(self) -> Iterable[Request]:
-        """A silent drive may still receive, and follow its last set-point as long as reads feed its
-        watchdog: so a drive that may turn gets a stop."""
+        """Yield the requests that probe a silent drive. It may still receive, and follow its last
+        set-point as long as reads feed its watchdog: so a drive that may turn gets a stop."""
         if self._may_turn:
             for step in self.plan.profile.quick_stop:
                 if step.value is not None:
@@ -301,12 +303,13 @@ class Drive(AsyncioDrive[DrivePlan]):
             yield ranges[0].request(self.plan.unit)
 
     def _probe_pause_s(self) -> float:
-        """None until each request of the power-off was sent once."""
+        """Return the pause before the next probe: 0 until each request of the stop was sent
+        once."""
         self._probes_at_once -= 1
         return 0.0 if self._probes_at_once >= 0 else self._backoff.next_s()
 
     async def probe(self) -> None:
-        """Poll an unresponsive drive once; PortError passes."""
+        """Poll an unresponsive drive once. PortError passes."""
         self.probe_at_s = now_s() + self._probe_pause_s()
         request = self._probes[0]
         self._probes.rotate(-1)
@@ -319,7 +322,7 @@ class Drive(AsyncioDrive[DrivePlan]):
     # ----------------------------------------------------------------------------------- stopping
     @property
     def has_stopped_itself(self) -> bool:
-        """As AsyncioDrive.has_stopped_itself."""
+        """Implement `AsyncioDrive.has_stopped_itself`."""
         return self._left_alone or left_alone(self._asked_s, now_s(), self._watchdog_s)
 
     def _disarmed(self) -> None:
@@ -328,16 +331,16 @@ class Drive(AsyncioDrive[DrivePlan]):
         self._forget_enabled()
 
     async def send_power_off(self) -> bool:
-        """As AsyncioDrive.send_power_off: sends all of it even without answers, because a silent
-        drive may still receive. The next call sends only what was not answered."""
+        """Implement `AsyncioDrive.send_power_off`. Sends all of it even without answers, because a
+        silent drive may still receive. The next call sends only what was not answered."""
         self._powerless()
         steps = self._power_off_left or self.plan.profile.disarm
         self._power_off_left = [step for step in steps if await self._write_step(step) is not None]
         return not self._power_off_left
 
     async def _write_now(self, steps: Sequence[Step]) -> Sequence[Step]:
-        """As AsyncioDrive._write_now: returns the steps from the first unanswered one on, and the
-        refused ones before it."""
+        """Implement `AsyncioDrive._write_now`. Returns the steps from the first unanswered one on,
+        and the refused ones before it."""
         refused: list[Step] = []
         for number, step in enumerate(steps):
             error = await self._write_step(step)
@@ -348,8 +351,8 @@ class Drive(AsyncioDrive[DrivePlan]):
         return refused
 
     async def _write_step(self, step: Step) -> HalError | None:
-        """Returns the error, if any. A drive that refuses a write responds, and gets the other
-        writes: only a missing answer counts as a failure."""
+        """Write one step. Return the error, if any. A drive that refuses a write responds, and gets
+        the other writes: only a missing answer counts as a failure."""
         raw = {} if step.value is None else {step.register: step.value}
         try:
             for request in self.plan.writes(raw):

@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""pymodbus behind a guard that checks every byte.
+"""Guard around pymodbus that checks every byte.
 
-pymodbus 3.16 gives a late reply to the next request, accepts short replies, wrong functions and
-wrong echoes, loses a good reply behind a glitch byte and keeps no silent interval. So:
+pymodbus 3.16 hands a late reply to the next request, accepts short replies, wrong functions and
+wrong echoes, loses a good reply behind a glitch byte and keeps no silent interval. Therefore:
 
-- the framer has the one request in flight; only a frame that `codec.parse_reply` accepts as the
-  answer to exactly this request passes, wherever in the bytes it begins;
+- the framer knows the one request in flight; only a frame that `codec.parse_reply` accepts as the
+  answer to exactly this request passes, at any place in the bytes;
 - nothing is sent before the line was silent for the gap of the standard, counted from the last
   byte seen in either direction (MODBUS over Serial Line V1.02, 2.5.1.1);
 - a unit that failed to answer gets no request for one more reply time, so that its late reply falls
   into the silence and not into the next request;
 - a broadcast is followed by the turn-around delay of the standard (2.4.1).
 
-RTU cannot distinguish what a drive answers later than that from an answer to the next equal
-request."""
+RTU cannot distinguish an even later answer from the answer to the next equal request."""
 
 from __future__ import annotations
 
@@ -57,16 +56,16 @@ if TYPE_CHECKING:
     from motord_hal.serial.loop_port import LoopPort
 
 SCHEDULING_ALLOWANCE_S = 0.02
-"""Added to every reply deadline: a USB adapter holds bytes back for up to 16 ms (FTDI's latency
-timer as delivered), and the event loop may be late by some milliseconds."""
+"""Time added to every reply deadline: a USB adapter holds bytes back for up to 16 ms (FTDI's
+default latency timer), and the event loop may be late by some milliseconds."""
 BROADCAST_TURNAROUND_S = 0.1
-"""Serial Line V1.02, 2.4.1: 100 to 200 ms, typically."""
+"""Turn-around delay, Serial Line V1.02, 2.4.1: 100 to 200 ms, typically."""
 NEVER_SILENT_S = 0.25
-"""A line on which bytes come for so long without a request has another master or a broken
-transceiver."""
+"""Time after which a line on which bytes keep coming without a request has another master or a
+broken transceiver."""
 URGENT_NOISE_S = 0.02
 URGENT_UNIT_S = 0.05
-"""How long an urgent request waits beyond its gap on a line that is never silent, or for a unit
+"""Time that an urgent request waits beyond its gap on a line that is never silent, or for a unit
 that may still answer late. Then it goes out anyway: a stop that may collide is better than one that
 is never sent."""
 
@@ -76,8 +75,9 @@ logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
 
 @contextlib.contextmanager
 def keeping_cancellation() -> Iterator[None]:
-    """No cancellation gets lost in the block: pymodbus turns it into an exception of its own, and
-    asyncio.wait_for, which it uses, drops one that meets the result (before Python 3.12)."""
+    """Raise CancelledError if a cancellation came in the block. pymodbus turns one into its own
+    exception, and asyncio.wait_for, which it uses, drops one that meets the result (before Python
+    3.12)."""
     task = asyncio.current_task()
     cancels = task.cancelling() if task else 0
     try:
@@ -88,7 +88,7 @@ def keeping_cancellation() -> Iterator[None]:
 
 
 class Strict(FramerBase):
-    """Passes the answer to the current request and nothing else: the part that all media share."""
+    """Framer that passes only the answer to the current request. All media share this part."""
 
     def __init__(self) -> None:
         super().__init__(DecodePDU(is_server=False))
@@ -96,23 +96,23 @@ class Strict(FramerBase):
         self.reply: Reply | None = None
         self.accepted_s = 0.0
         self.refused = ""
-        """Why the bytes that came are no answer; empty when none came."""
+        """Why the received bytes are no answer; "": no bytes came."""
         self._kept = b""
-        """Bytes left for the next call: pymodbus passes them again, with the newer ones."""
+        """Bytes left for the next call. pymodbus passes them again, with the newer ones."""
 
     def arm(self, request: Request) -> None:
         self._request, self.reply, self.refused = request, None, ""
         self._kept = b""  # pymodbus drops it when it sends
 
     def unseen(self, data: bytes) -> bytes:
-        """The new bytes among those that the next call of handleFrame gets."""
+        """Return the new bytes among those for the next call of handleFrame."""
         return data.removeprefix(self._kept)
 
     def disarm(self) -> None:
         self._request = None
 
     def _accept(self, request: Request, frame: bytes) -> ModbusPDU | None:
-        """The answer for pymodbus; None: no answer, and `refused` is the reason."""
+        """Return the answer for pymodbus; None: no answer, and `refused` is the reason."""
         try:
             self.reply = parse_reply(request, frame)
         except FrameError as error:
@@ -126,10 +126,10 @@ class Strict(FramerBase):
 
 
 class StrictFramer(Strict, FramerRTU):
-    """RTU frames, wherever in the bytes they begin.
+    """Framer for RTU frames at any place in the bytes.
 
-    An adapter with echo returns each request before its reply; for function 6 both are equal.
-    Whether it echoes is known from the robot file, or from the newest read: if it does, the first
+    An adapter with echo returns each request before its reply; for function 6 both are equal. The
+    robot file states whether there is an echo, or the newest read shows it. If there is, the first
     copy of a write is not an acknowledgement.
     """
 
@@ -141,7 +141,7 @@ class StrictFramer(Strict, FramerRTU):
     def handleFrame(  # noqa: N802  # pymodbus's name
         self, data: bytes, exp_devid: int, exp_tid: int
     ) -> tuple[int, ModbusPDU | None]:
-        """Called by pymodbus with all bytes not yet used; returns how many are used up."""
+        """Judge all bytes not used yet. pymodbus calls this. Return the number of used bytes."""
         del exp_devid, exp_tid  # the current request has all that is needed
         used, pdu = self._judge(data)
         self._kept = data[used:]
@@ -172,7 +172,7 @@ class StrictFramer(Strict, FramerRTU):
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A reply and its time: `stamp_ns` is the middle of the exchange, `round_trip_s` all of it."""
+    """A reply. `stamp_ns` is the middle of the exchange, `round_trip_s` its duration."""
 
     values: tuple[int, ...]
     stamp_ns: int
@@ -180,7 +180,7 @@ class Answer:
 
 
 class GuardedClient:
-    """One serial port, one request in flight."""
+    """One serial port, with one request in flight."""
 
     def __init__(
         self,
@@ -210,13 +210,14 @@ class GuardedClient:
         self._received_bytes = 0
         self._frames = 0
         self._noise_bytes = 0
-        """Received since the request; received since opening without an answer among them."""
+        """Bytes received since the request, answers since opening, bytes of noise since opening."""
 
     def wire_time_s(self, size_bytes: int) -> float:
         return frame_time_s(size_bytes, *self._serial)
 
     def reply_deadline_s(self, request: Request, turnaround_s: float) -> float:
-        """From the request's last byte: turn-around, the reply on the wire, the allowance."""
+        """Return the deadline from the request's last byte on: turn-around, reply on the wire,
+        allowance."""
         return turnaround_s + self.wire_time_s(reply_bytes(request)) + SCHEDULING_ALLOWANCE_S
 
     @property
@@ -225,7 +226,7 @@ class GuardedClient:
         return usable and self._client is not None and self._client.connected
 
     async def open(self) -> None:
-        """Open the port for ourselves alone. Raises PortError."""
+        """Open the port exclusively. Raises PortError."""
         # imported only here: only lines with a port need these libraries
         from motord_hal.serial.loop_port import LoopPort
 
@@ -281,10 +282,11 @@ class GuardedClient:
         *,
         urgent: bool = False,
     ) -> Answer:
-        """Send and return the answer, `within_s` after the request's last byte. After `send_by_s`
-        it is not sent: NoReply. An urgent request stops a drive: noise does not delay it for ever.
+        """Send the request and return its answer, due `within_s` after the request's last byte.
+        After `send_by_s` it is not sent: NoReply. An urgent request stops a drive: noise delays it
+        only briefly.
 
-        Raises NoReply, BadReply, Refused, PortError. A broadcast answers at once with nothing.
+        Raises NoReply, BadReply, Refused, PortError. A broadcast returns at once, without values.
         """
         async with self._lock:
             await self._wait_for_silence(request.unit, urgent=urgent)
@@ -305,7 +307,7 @@ class GuardedClient:
             return self._answer(request)
 
     async def _transmit(self, request: Request, within_s: float) -> None:
-        """Let pymodbus send and receive. The result is in the framer, so its own verdict is not
+        """Make pymodbus send and receive. The result is in the framer, so pymodbus's own is not
         needed."""
         limit_s = self.wire_time_s(len(build_request(request))) + within_s
         self._sent_s = now_s()
@@ -371,7 +373,8 @@ class GuardedClient:
         return Answer(reply.values, stamp_ns, round_trip_s)
 
     def _leave_alone(self, request: Request, within_s: float) -> None:
-        """After a failure or a cancellation: silence for one more reply time of this unit."""
+        """Send this unit no request for one more reply time, after a failure or a cancellation.
+        After a broadcast, nothing is sent for BROADCAST_TURNAROUND_S."""
         if self._port is not None and self._port.is_stuck:
             self.close()  # a set-point must not go out later and move a motor
             self._lost = "takes no bytes"
@@ -386,7 +389,7 @@ class GuardedClient:
 
     async def _wait_for_silence(self, unit: int, *, urgent: bool) -> None:
         """Wait until the line was silent for the gap and no late reply is expected. Raises BadReply
-        if it is never silent; an urgent request is sent then."""
+        if it is never silent, unless the request is urgent: that is sent then."""
         asked_s = self._unit_silent_until_s.get(unit, 0.0)
         patience_s = NEVER_SILENT_S
         if urgent:
@@ -411,13 +414,13 @@ class GuardedClient:
         return Traffic(noise_bytes=self._noise_bytes, frames=self._frames, late=self._late.count)
 
     def unresponsive_hint(self) -> str:
-        """What the UART's driver counted, as a hint on an unresponsive drive; empty: nothing."""
+        """Return a hint on an unresponsive drive from the UART driver's counters; "": no hint."""
         if self._port is None or not self.connected:
             return ""
         return self._witness.hint(self._port.fileno(), self._traffic)
 
     def _drain(self) -> None:
-        """Drop bytes that were not requested, and note when they came. Raises PortError."""
+        """Drop bytes that were not requested, and note their time. Raises PortError."""
         if self._port is None or not self.connected:
             raise PortError(f"{self.port} is not open")
         self._witness.look(self._port.fileno(), self._traffic)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Modbus RTU line on asyncio: one task owns the port and serves the drives in turn.
 
-A cycle: every drive in turn gets the newest set-points and is read; then one acyclic slot, for one
-exchange of one job (configure, arm, disarm, clear) or one probe of an unresponsive drive. So a dead
-drive costs the others one reply deadline at times, and a job costs them one exchange a cycle.
+In a cycle, every drive in turn gets the newest set-points and is read. One acyclic slot follows,
+for one exchange of one job (configure, arm, disarm, clear) or one probe of an unresponsive drive.
+So a dead drive costs the others one reply deadline at times, and a job costs them one exchange a
+cycle.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from motord_hal.modbus.timing import line_gap_s
 from motord_hal.realtime.exchange import Exchange
 
 SLOT_ALLOWANCE_S = 0.1
-"""Allowance beyond the slowest cycle: lost replies of this drive or of others."""
+"""Allowance beyond the slowest cycle, for lost replies of this drive or of others."""
 
 
 class ModbusRtuLine(AsyncioLine[Drive]):
-    """ports.Line for `kind = "modbus-rtu"`, engine "asyncio"."""
+    """`ports.Line` for `kind = "modbus-rtu"`, engine "asyncio"."""
 
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
         super().__init__(spec, exchange, listener, 1.0 / spec.cycle_hz)
@@ -59,7 +60,7 @@ class ModbusRtuLine(AsyncioLine[Drive]):
         )
 
     def stats(self) -> LineStats:
-        """As ports.Line.stats; rates and percentiles are those of the newest exchanges."""
+        """Implement `ports.Line.stats`. Rates and percentiles are those of the newest exchanges."""
         return LineStats(
             exchanges=self._link.exchanges,
             cycles=self._cycles.count,
@@ -78,7 +79,7 @@ class ModbusRtuLine(AsyncioLine[Drive]):
         self._link.client.close()
 
     def _look(self) -> None:
-        """Does nothing: bytes come only after requests."""
+        """Do nothing: bytes come only after requests."""
 
     async def _cycle(self) -> None:
         for drive in self._drives:
@@ -94,7 +95,7 @@ class ModbusRtuLine(AsyncioLine[Drive]):
             await drive.cycle(dict)
 
     async def _acyclic_slot(self) -> None:
-        """One exchange of one job, or one probe. Urgent jobs first, then fairly in turn."""
+        """Do one exchange of one job, or one probe. Urgent jobs come first, then drives in turn."""
         self._turn += 1
         turn = self._turn % len(self._drives)
         order = [*self._drives[turn:], *self._drives[:turn]]

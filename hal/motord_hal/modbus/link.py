@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guarded port with its line counters: every exchange is counted, every failure by its
-kind."""
+"""The guarded port with its line counters. It counts every exchange, and every failure by kind."""
 
 from __future__ import annotations
 
@@ -32,7 +31,7 @@ class Link:
         *,
         urgent: bool = False,
     ) -> Answer:
-        """As GuardedClient.exchange."""
+        """Exchange as `GuardedClient.exchange` does, and count."""
         try:
             answer = await self.client.exchange(request, within_s, send_by_s, urgent=urgent)
         except (NoReply, BadReply, Refused, PortError) as error:

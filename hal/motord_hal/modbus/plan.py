@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cyclic table of one drive, built once from its profile: which registers are read in which
-requests, how set-points become requests, and how long it all takes on the wire. Pure."""
+"""The cyclic table of one drive, built once from its profile: requests that read registers,
+requests that write set-points, and their time on the wire. Pure."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from motord_hal.modbus.codec import (
 )
 
 EXTRA_EVERY_CYCLES = 4
-"""Current, voltage, temperature and the like: one range of them every so many cycles."""
+"""Interval at which one range of current, voltage, temperature and the like is read."""
 _REQUEST_OVERHEAD_BYTES = 13
 """Bytes of a read request (8) and of a reply without its words (5)."""
 
 WireTime = Callable[[int], float]
-"""Frame length in bytes → seconds on the wire."""
+"""Function from frame length in bytes to seconds on the wire."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class ReadRange:
         return Request(unit, Function.READ_HOLDING, self.address, count=self.count)
 
     def decode(self, words: tuple[int, ...]) -> dict[str, int]:
-        """Register name → raw value."""
+        """Return register name → raw value."""
         return {
             register.name: register.decode(
                 words[register.address - self.address :][: register.type.words]
@@ -59,17 +59,17 @@ class ReadRange:
 
 @dataclass(frozen=True, slots=True)
 class CyclicExchange:
-    """One exchange of each cycle."""
+    """One exchange in each cycle."""
 
     request: Request
     reads: ReadRange | None
-    """The registers in its reply; None: none."""
+    """Registers in its reply; None: the reply has no registers."""
 
 
 def wanted_registers(
     profile: DriveProfile, joints: Iterable[JointSpec]
 ) -> tuple[list[Register], list[Register]]:
-    """Registers that are read in every cycle, and those that may wait."""
+    """Return the registers that are read in every cycle, and those that may wait."""
     fast, slow = [], [profile.bus_voltage]
     for joint in joints:
         channel = profile.channels[joint.channel]
@@ -100,10 +100,10 @@ class DrivePlan(Plan):
         self.extra = tuple(r for r in ranges if r not in self.fast)
         directions = (self.channel(joint).direction for joint in self.joints)
         self.rests = {each.register: each.rest for each in directions if each is not None}
-        """Direction register → the value that means neither direction."""
+        """Direction register → value that means neither direction."""
 
     def _merge(self, wanted: list[Register]) -> list[ReadRange]:
-        """As few requests as possible: a gap of known registers is read too if that is faster."""
+        """Return as few ranges as possible: registers in a gap are read, too, if that is faster."""
         ranges: list[list[Register]] = []
         for register in sorted(wanted, key=lambda r: r.address):
             if ranges and self._joins(ranges[-1], register):
@@ -131,7 +131,8 @@ class DrivePlan(Plan):
         )
 
     def writes(self, raw: Mapping[str, int]) -> list[Request]:
-        """Requests that write these registers: adjacent ones together where the drive takes 16."""
+        """Return the requests that write these registers; function 16 writes adjacent ones
+        together."""
         requests: list[Request] = []
         words: list[int] = []
         begin = 0
@@ -153,8 +154,9 @@ class DrivePlan(Plan):
         return [Request(self.unit, Function.WRITE_SINGLE, address, values=tuple(words))]
 
     def cyclic(self, raw: Mapping[str, int]) -> list[CyclicExchange]:
-        """The exchanges of a cycle that writes these set-points, in order. Where the drive can
-        (function 23, V1.1b3, 6.17: it writes before it reads) the first one does both."""
+        """Return the exchanges of a cycle that writes these set-points, in order. If the drive can
+        do that, the first one writes and reads (function 23, V1.1b3, 6.17: the write comes before
+        the read)."""
         writes, ranges = self.writes(raw), list(self.fast)
         begin: list[CyclicExchange] = []
         if len(writes) == 1 and ranges and self._read_write_fits(writes[0], ranges[0]):
@@ -180,7 +182,7 @@ class DrivePlan(Plan):
         )
 
     def zero_steps(self) -> tuple[Step, ...]:
-        """Writes that set the set-point registers to zero, or to the motor's position, one by one,
+        """Return writes that set the set-points to zero, or to the motor's position, one by one,
         and trigger them."""
         channels = [self.channel(joint) for joint in self.joints]
         zeros = [Step(register=one.setpoint, value=0) for one in channels]
@@ -190,7 +192,8 @@ class DrivePlan(Plan):
         return (*zeros, *(Step(register=name, value=raw, verify=False) for name, raw in obey))
 
     def directions(self, wanted: Wanted, raw: Mapping[str, int]) -> dict[str, int]:
-        """Direction register → raw for the same set-points; rest where the magnitude is zero."""
+        """Return direction register → raw value for these set-points; rest if the magnitude is
+        zero."""
         found = {}
         for joint in self.joints:
             channel = self.channel(joint)
@@ -205,7 +208,7 @@ class DrivePlan(Plan):
     def reading(
         self, joint: JointSpec, values: Mapping[str, int], last_directions: Mapping[str, int]
     ) -> Reading:
-        """A joint by its raw values; `last_directions` signs a velocity that has no sign."""
+        """Return a joint's reading. `last_directions` gives a sign to a velocity without one."""
         channel, sign = self.channel(joint), 1.0
         direction = channel.direction
         if direction is not None and channel.velocity is not None:
@@ -216,9 +219,8 @@ class DrivePlan(Plan):
         return self._reading(joint, values, values.get(channel.position or "", 0) & mask, sign)
 
     def cycle_time_s(self) -> float:
-        """Wire time of one mean cycle: two gaps an exchange (before the request, and what a drive
-        must let pass before it answers), set-points and fast ranges always, an extra one at
-        times."""
+        """Return the wire time of a mean cycle: set-points and fast ranges always, an extra one at
+        times, and two gaps an exchange (before the request, and before the drive may answer)."""
         cyclic = self.cyclic(self.setpoints({}))
         time_s = sum(self._exchange_time_s(exchange.request) for exchange in cyclic)
         if self.extra:
@@ -227,7 +229,7 @@ class DrivePlan(Plan):
         return time_s
 
     def slowest_cycle_s(self) -> float:
-        """A cycle with an extra range, in which every reply begins at the last moment."""
+        """Return the time of a cycle with an extra range, with every reply at the last moment."""
         requests = [exchange.request for exchange in self.cyclic(self.setpoints({}))]
         requests += [span.request(self.unit) for span in self.extra[:1]]
         return sum(self._exchange_time_s(r) + self.profile.turnaround_s for r in requests)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same guard (guard.py) for drives behind a gateway in the network: Modbus TCP, or RTU frames
+"""The guard of guard.py for drives behind a gateway in the network: Modbus TCP, or RTU frames
 through a serial server.
 
-What TCP adds: a reply has the number of its transaction, so a late one differs from the next
-(MODBUS Messaging on TCP/IP Implementation Guide V1.0b, 3.1.3). And the network may deliver a
+TCP differs in two points: a reply has the number of its transaction, so a late one differs from the
+next (MODBUS Messaging on TCP/IP Implementation Guide V1.0b, 3.1.3). And the network may deliver a
 request much later: a request that is stuck is dropped with its connection, so that no old set-point
 ever reaches a drive.
 """
@@ -39,35 +39,37 @@ from motord_hal.modbus.timing import line_gap_s
 
 CONNECT_WITHIN_S = 2.0
 NETWORK_ALLOWANCE_S = 0.05
-"""Added to every reply deadline: there and back, and the gateway's own work."""
+"""Time added to every reply deadline, for both directions and the gateway's own work."""
 DELIVERED_WITHIN_S = 0.5
-"""A gateway acknowledges what it got; many do so only after 0.2 s."""
+"""Time limit for a gateway's acknowledgement; many send it only after 0.2 s."""
 LOOK_EVERY_S = 0.002
 SILENT_S = 5.0
-"""A gateway that was silent for so long may have lost the connection: open a new one."""
+"""Time of silence after which the gateway may have lost the connection, and a new one is opened."""
 _HEADER_BYTES = 7
 _LENGTH_MAX = 254
-"""Unit and PDU: Implementation Guide V1.0b, 3.1.3, and Application Protocol V1.1b3, 4.1."""
+"""Greatest length of unit and PDU: Implementation Guide V1.0b, 3.1.3, and Application Protocol
+V1.1b3, 4.1."""
 _UNREAD_MAX = 4096
-"""A gateway has one request at a time to answer: room for its answer and some late ones."""
+"""Limit for unread bytes. A gateway has one request at a time to answer: room for that answer and
+some late ones."""
 _SHOWN_BYTES = 16
 _GATEWAY_EXCEPTIONS = (10, 11)
-"""V1.1b3, 7: the gateway reports that it does not reach the drive."""
+"""Exceptions by which the gateway reports that it does not reach the drive: V1.1b3, 7."""
 
 
 class StrictTcpFramer(Strict, FramerSocket):
-    """Frames with the MBAP header; those of other transactions are passed over."""
+    """Framer for frames with the MBAP header. Frames of other transactions are skipped."""
 
     def __init__(self) -> None:
         super().__init__()
         self._buffer = b""
         self.lost = ""
-        """Why frames cannot be found any more: the bytes are not Modbus TCP."""
+        """Why frames cannot be found any more: the bytes are not Modbus TCP; "": they can."""
 
     def handleFrame(  # noqa: N802  # pymodbus's name
         self, data: bytes, exp_devid: int, exp_tid: int
     ) -> tuple[int, ModbusPDU | None]:
-        """Called by pymodbus with all bytes not yet used; returns how many are used up."""
+        """Judge all bytes not used yet. pymodbus calls this. Return the number of used bytes."""
         del exp_devid  # the current request has it
         if len(data) > _UNREAD_MAX:
             self._lose(f"{len(data)} bytes at once are no Modbus TCP")
@@ -104,8 +106,8 @@ class StrictTcpFramer(Strict, FramerSocket):
 
 
 class GatewayClient(GuardedClient):
-    """One connection to a gateway, one request in flight. Baud rate and the rest are those of the
-    wire behind it."""
+    """One connection to a gateway, with one request in flight. Baud rate and the like are those of
+    the wire behind it."""
 
     def __init__(self, spec: LineSpec) -> None:
         super().__init__(spec.port, spec.baudrate, spec.parity, spec.stop_bits, line_gap_s(spec))
@@ -115,7 +117,7 @@ class GatewayClient(GuardedClient):
         self._silent_since_s = math.inf
 
     def reply_deadline_s(self, request: Request, turnaround_s: float) -> float:
-        """As GuardedClient's, and the network's part."""
+        """Return `GuardedClient`'s deadline plus the network's part."""
         base_s = super().reply_deadline_s(request, turnaround_s)
         return base_s + 2 * self.gap_s + NETWORK_ALLOWANCE_S
 
@@ -133,7 +135,7 @@ class GatewayClient(GuardedClient):
             trace_packet=self._trace_packet,
         )
         client.ctx.framer = framer
-        # pymodbus silently drops what is longer than a frame; the framer judges it
+        # pymodbus silently drops anything longer than a frame; the framer judges it
         client.ctx.max_buffer_size = sys.maxsize
         with contextlib.ExitStack() as undo:
             undo.callback(client.close)
@@ -155,7 +157,8 @@ class GatewayClient(GuardedClient):
         self._set_options()
 
     def _set_options(self) -> None:
-        """Send at once; closing throws away what was not delivered (linger 0: a reset)."""
+        """Make the socket send at once, and drop undelivered data when it closes (linger 0: a
+        reset)."""
         link = self._socket()
         if link is not None:
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -178,7 +181,7 @@ class GatewayClient(GuardedClient):
         return bool(transport.get_write_buffer_size() or any(unacknowledged))
 
     def close(self) -> None:
-        """As GuardedClient.close; bytes that were not sent are dropped."""
+        """Close as `GuardedClient.close` does; bytes that were not sent are dropped."""
         if (transport := self._transport()) is not None:
             transport.abort()
         super().close()
@@ -190,8 +193,8 @@ class GatewayClient(GuardedClient):
         return data
 
     async def _wait_for_silence(self, unit: int, *, urgent: bool) -> None:
-        """Wait until the request before has arrived, too. Raises PortError if it does not. An
-        urgent request opens a new connection in place of a stuck one."""
+        """Wait until the previous request has arrived, and for silence. Raises PortError if it has
+        not. An urgent request then opens a new connection instead."""
         if now_s() - self._silent_since_s > SILENT_S:
             await self.open()
         try:
@@ -212,7 +215,8 @@ class GatewayClient(GuardedClient):
             await sleep_until_s(now_s() + LOOK_EVERY_S)
 
     def _drain(self) -> None:
-        """What was not requested has gone to the framer, which drops it. Raises PortError."""
+        """Check the connection. The framer drops bytes that were not requested. Raises
+        PortError."""
         if isinstance(self._framer, StrictTcpFramer) and self._framer.lost:
             self.close()
             raise PortError(f"{self.port}: {self._framer.lost}")
@@ -220,7 +224,8 @@ class GatewayClient(GuardedClient):
             raise PortError(f"{self.port} went away")
 
     def _answer(self, request: Request) -> Answer:
-        """As GuardedClient's; a drive that the gateway does not reach is NoReply."""
+        """Return the answer as `GuardedClient` does. A drive that the gateway does not reach is
+        NoReply."""
         silent_since_s, self._silent_since_s = self._silent_since_s, math.inf
         try:
             return super()._answer(request)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modbus drives behind a gateway in the network: the line of line.py over another medium."""
+"""Line of Modbus drives behind a gateway in the network: line.py over another medium."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from motord_hal.modbus.tcp_guard import GatewayClient
 
 
 class GatewayLine(ModbusRtuLine):
-    """ports.Line for the kinds "modbus-tcp" and "rtu-over-tcp"."""
+    """`ports.Line` for the kinds "modbus-tcp" and "rtu-over-tcp"."""
 
     def _new_client(self, spec: LineSpec) -> GuardedClient:
         return GatewayClient(spec)

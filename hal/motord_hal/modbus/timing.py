@@ -9,7 +9,7 @@ from motord_hal.modbus.codec import SILENT_CHARACTERS, character_bits, silent_in
 
 
 def line_gap_s(spec: LineSpec) -> float:
-    """Silence before each request of the line, seconds."""
+    """Return the silence before each request of the line, in seconds."""
     if spec.gap_s is not None:
         return spec.gap_s
     if spec.gap is not None:
@@ -19,12 +19,13 @@ def line_gap_s(spec: LineSpec) -> float:
 
 
 def drive_gap_s(profile: DriveProfile, spec: LineSpec) -> float:
-    """Silence that a drive needs before a request, seconds, with the line's characters."""
+    """Return the silence that a drive needs before a request, in seconds, with the line's
+    characters."""
     return rule_gap_s(profile.gap, spec) if profile.gap_s is None else profile.gap_s
 
 
 def rule_gap_s(gap: Gap, spec: LineSpec) -> float:
-    """A rule as a number of seconds, with the line's characters."""
+    """Return a rule's silence in seconds, with the line's characters."""
     bits = character_bits(spec.parity, spec.stop_bits)
     if gap is Gap.SPEC:
         return silent_interval_s(spec.baudrate, bits)

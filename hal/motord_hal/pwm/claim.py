@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One owner for a channel: two programs that write the same pin would undo each other's commands.
+"""Lock that gives a channel one owner: two programs that write the same pin would undo each other's
+commands.
 
-Sources: flock(2): the kernel releases the lock when the owner ends, however it ends; proc_locks(5).
+Sources: flock(2): the kernel releases the lock when the owner ends, by any cause; proc_locks(5).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ PROC = Path("/proc")
 
 
 class Taken(OSError):
-    """A running program holds it; the text names the program if that can be read."""
+    """A running program holds the channel. The text names the program if that can be read."""
 
 
 def claim(fd: int, proc: Path = PROC) -> None:
@@ -27,7 +28,8 @@ def claim(fd: int, proc: Path = PROC) -> None:
 
 
 def owner_of(fd: int, proc: Path = PROC) -> str:
-    """The program that has locked this file, as "program (pid N)"; empty if that cannot be read."""
+    """Return the program that has locked this file, as "program (pid N)"; "": that cannot be
+    read."""
     status = os.fstat(fd)
     device = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
     try:

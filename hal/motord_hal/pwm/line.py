@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motor bridges on pins of this machine. A thread in C writes the pins by the set-points; this
-module opens pins, passes requests on and reports changes."""
+"""Motor bridges on pins of this machine. A thread in C writes the pins by the set-points. This
+module opens the pins, passes requests on and reports changes."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ from motord_hal.realtime.pwm import (
 )
 
 STOPPING_S = 0.3
-"""A quick stop brakes for this time, then the power goes off."""
+"""Time for which a quick stop brakes before the power goes off."""
 OBEYED_WITHIN_S = 1.0
 LOOK_EVERY_S = 0.005
 WATCH_EVERY_S = 0.05
 AT_ENCODER = -2
-"""BridgeReport.error_output from here down: the encoder of a joint."""
+"""`BridgeReport.error_output` from here down: AT_ENCODER - place means the encoder of a joint."""
 FAULT_WORDS = ("the bridge reports a fault",)
 
 
 class PwmLine(LineTask):
-    """ports.Line for `kind = "pwm"`, engine "rt". Nothing shows whether a bridge is connected: a
+    """`ports.Line` for `kind = "pwm"`, engine "rt". Nothing shows whether a bridge is connected: a
     drive counts as present while its pins are open."""
 
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
@@ -64,7 +64,7 @@ class PwmLine(LineTask):
         self._thread = BridgeThread(spec.index, exchange)
         self._pins: OpenPins | None = None
         self._was_armed = False
-        """Armed by `arm`; the end of that has not been reported yet."""
+        """Whether `arm` has armed the line and its end has not been reported yet."""
         self._faults: dict[str, tuple[str, ...]] = dict.fromkeys(self._names, ())
         self._stats = LineStats()
         self._epoch = 0
@@ -92,7 +92,7 @@ class PwmLine(LineTask):
         return dict(self._faults)
 
     def stats(self) -> LineStats:
-        """As ports.Line.stats. An exchange is a write to pins; there is no limit for late ones."""
+        """Implement `ports.Line.stats`. An exchange is a write to pins; a late one has no limit."""
         if self._pins is not None:
             report = self._thread.report()
             self._stats.exchanges, self._stats.cycles = report.writes, report.cycles
@@ -110,14 +110,14 @@ class PwmLine(LineTask):
 
     # ------------------------------------------------------------------------------------ the task
     async def run(self) -> None:
-        """As ports.Line.run."""
+        """Implement `ports.Line.run`."""
         async with asyncio.TaskGroup() as tasks:
             for board in self._boards:
                 tasks.create_task(board.run())
             await super().run()
 
     def _counting_boards(self) -> Iterator[CountingBoard]:
-        """One for each port with encoder boards of this line."""
+        """Yield one board for each port with encoder boards of this line."""
         by_port: dict[str, dict[int, int]] = {}
         encoders: dict[str, BoardEncoder] = {}
         for place, joint in enumerate(self.spec.joints):
@@ -175,7 +175,7 @@ class PwmLine(LineTask):
         )
 
     async def _work(self) -> None:
-        """Report changes, until the pins are lost."""
+        """Report changes until the pins are lost. Raises PortError then."""
         self._backoff.reset()
         self._say_all(EventKind.DRIVE_READY, f"{', '.join(self._names)}: no power")
         if self._pins is not None and self._pins.doubt:
@@ -227,7 +227,7 @@ class PwmLine(LineTask):
             self._say_all(EventKind.DRIVE_WARNING, text)
 
     async def _shut_down(self) -> None:
-        """Brake, then no power; the thread ends without power in any case."""
+        """Brake, then switch the power off. In any case the thread ends without power."""
         self._thread.request_mode(BridgeMode.STOP)
         until_s = now_s() + STOPPING_S + OBEYED_WITHIN_S / 10
         await asyncio.sleep(2 / self.spec.cycle_hz)
@@ -238,7 +238,7 @@ class PwmLine(LineTask):
 
     # ---------------------------------------------------------------------------------------- jobs
     async def arm(self) -> None:
-        """As ports.Line.arm."""
+        """Implement `ports.Line.arm`."""
         for _ in range(SETPOINT_LOOKS):
             self._check_bridges()
             report = await self._try_to_arm()
@@ -251,7 +251,7 @@ class PwmLine(LineTask):
         raise HalError(f"{self.spec.name}: {NO_SETPOINTS}")
 
     def _check_bridges(self) -> None:
-        """Raises HalError, for bridges that cannot be armed."""
+        """Raise HalError if the bridges cannot be armed."""
         self._check_open()
         report = self._thread.report()
         self._note(report)
@@ -273,7 +273,7 @@ class PwmLine(LineTask):
         return report
 
     async def disarm(self) -> None:
-        """As ports.Line.disarm. From the call on, no pin gives power."""
+        """Implement `ports.Line.disarm`. From the call on, no pin gives power."""
         self._check_open()
         await self._obeyed(BridgeMode.OFF)
 
@@ -291,18 +291,19 @@ class PwmLine(LineTask):
         return report
 
     async def clear_faults(self) -> None:
-        """As ports.Line.clear_faults: a fault pin shows when it is over."""
+        """Implement `ports.Line.clear_faults`. Nothing can be cleared: the fault pin shows when it
+        is over."""
         self._check_open()
         for name, words in self._faults.items():
             if words:
                 raise DriveFault(f"{name} reports {', '.join(words)}")
 
     async def read_register(self, joint: str, register: str) -> float:
-        """Raises LookupError: no register can be read."""
+        """Implement `ports.Line.read_register`. Raises LookupError: no register can be read."""
         raise LookupError(f"{self._profile_of(joint).name} has no register to read: {register}")
 
     async def write_register(self, joint: str, register: str, value: float) -> float:
-        """Raises LookupError: no register can be written."""
+        """Implement `ports.Line.write_register`. Raises LookupError: no register can be written."""
         del value
         raise LookupError(f"{self._profile_of(joint).name} has no register to write: {register}")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the pins that a robot file names to open channels and GPIO lines, or an error that names the
+"""Opening of the channels and GPIO lines for the pins that a robot file names. Errors name the
 joint, the pin and the remedy."""
 
 from __future__ import annotations
@@ -31,33 +31,34 @@ from motord_hal.pwm.sysfs import (
 from motord_hal.realtime.pwm import EncoderConfig, Pin
 
 FAULT = "fault"
-"""The pin of a bridge that signals a fault: an input."""
+"""Pin of a bridge that signals a fault: an input."""
 PUMP = "pump"
-"""An output that changes with every cycle while the motor may move: a charge pump or a watchdog
-behind it takes the power when any thread hangs or the process dies."""
+"""Output that changes with every cycle while the motor may move: a charge pump or a watchdog behind
+it removes the power when any thread hangs or the process dies."""
 SOFTWARE_PERIOD_MIN_NS = 1_000_000
-"""Each of its edges is an interrupt: 2000 a second for a pin are enough."""
+"""Shortest period of pulses made in software. Each edge is an interrupt: 2000 a second for a pin
+are enough."""
 _LOW = dict.fromkeys(BRIDGE_MODES, (0.0, 0.0))
 _CHANNEL = re.compile(r"pwm(\d+)")
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a pin is."""
+    """Location of a pin."""
 
     joint: int
-    """Place on the line."""
+    """Index of the joint on the line."""
     pin: str
     purpose: str
     channel: int | None
-    """Of the PWM chip; None: a GPIO line."""
+    """Channel of the PWM chip; None: a GPIO line."""
     gpio: str
     inverted: bool
 
 
 def servo_range_rad(joint: JointSpec) -> float:
-    """The joint's angle, to either side, that the longest and the shortest pulse are; 0: its drive
-    takes duties."""
+    """Return the joint's angle, to either side, for the longest and the shortest pulse; 0: its
+    drive takes duties."""
     channel = joint.profile.channels[joint.channel]
     if channel.position_setpoint is None:
         return 0.0
@@ -66,14 +67,14 @@ def servo_range_rad(joint: JointSpec) -> float:
 
 
 def bridge_of(joint: JointSpec) -> Bridge:
-    """Raises ProfileError."""
+    """Return the joint's bridge. Raises ProfileError if the profile has none."""
     if joint.profile.bridge is None:
         raise ProfileError(f"{joint.name}: {joint.profile.name} is no bridge")
     return joint.profile.bridge
 
 
 def place_of(number: int, joint: JointSpec, pin: str, where: str) -> Place:
-    """Raises ValueError."""
+    """Return the location of one pin. Raises ValueError if `where` names none."""
     inverted, bare = where.startswith("!"), where.removeprefix("!")
     channel = _CHANNEL.fullmatch(bare)
     if not bare:
@@ -84,8 +85,9 @@ def place_of(number: int, joint: JointSpec, pin: str, where: str) -> Place:
 
 
 def places_of(number: int, joint: JointSpec) -> list[Place]:
-    """All pins of a bridge. Raises ValueError for one that is missing, unknown or cannot do what
-    the bridge needs. A pin that only gives power may be left out, if it is wired permanently."""
+    """Return all pins of a bridge. Raises ValueError for one that is missing, unknown or cannot do
+    what the bridge needs. A pin that only gives power may be left out, if it is wired
+    permanently."""
     bridge = bridge_of(joint)
     unknown = set(joint.pins) - {*bridge.levels, FAULT, PUMP}
     if unknown:
@@ -110,14 +112,15 @@ def places_of(number: int, joint: JointSpec) -> list[Place]:
 
 
 def may_be_left_out(bridge: Bridge, pin: str) -> bool:
-    """Pins that only switch the bridge's power may be wired permanently."""
+    """Whether the pin only switches the bridge's power: then it may be wired permanently."""
     driven = [bridge.levels[pin][mode] for mode in ("brake", "forward", "reverse")]
     return all(level == (1.0, 0.0) for level in driven)
 
 
 def lines_take_power(joint: JointSpec) -> bool:
-    """Whether its GPIO lines end motion by themselves at COAST: their levels then differ from
-    forward and from backward. Those of PWM and DIR do not differ: they only give the direction."""
+    """Whether the joint's GPIO lines end motion by themselves at COAST: their levels then differ
+    from forward and from backward. Those of PWM and DIR do not differ: they only give the
+    direction."""
     bridge = bridge_of(joint)
     lines = [
         bridge.levels[place.pin]
@@ -132,26 +135,26 @@ def lines_take_power(joint: JointSpec) -> bool:
 
 @dataclass(slots=True)
 class OpenPins:
-    """All pins of a line. This object owns the descriptors."""
+    """All open pins of a line. This object owns the descriptors."""
 
     pins: list[Pin] = field(default_factory=list)
     names: list[str] = field(default_factory=list)
-    """The purpose of each of them."""
+    """Purpose of each pin."""
     fault_masks: list[int] = field(default_factory=list)
-    """Masks of the inputs, by the joint's place."""
+    """Masks of the fault inputs, by the joint's index."""
     low_inputs: int = 0
-    """Inputs that are active when they are low."""
+    """Mask of the inputs that are active when they are low."""
     outputs_fd: int = -1
     inputs_fd: int = -1
     channels: list[Channel] = field(default_factory=list)
     encoders: list[EncoderConfig | None] = field(default_factory=list)
-    """By joint's place."""
+    """Encoders, by the joint's index; None: no encoder."""
     doubt: str = ""
-    """Why pulses may not reach the pins, in a sentence; empty: no reason is known."""
+    """Why pulses may not reach the pins, in a sentence; "": no reason is known."""
 
     def close(self) -> list[str]:
-        """Close them after the thread has brought them to rest. Returns which pulses could not be
-        ended, in words."""
+        """Close the pins after the thread has brought them to rest. Return which pulses could not
+        be ended, in words."""
         problems = []
         for name, channel in zip(self.names, self.channels, strict=False):  # lines come after them
             try:
@@ -168,8 +171,9 @@ class OpenPins:
 
 
 async def open_pins(spec: LineSpec) -> OpenPins:
-    """Raises PortError, ProfileError; nothing stays open then. A motor may still turn if a program
-    was killed: every pin that can be brought to rest is, even if others are missing."""
+    """Open all pins. Raises PortError or ProfileError; nothing stays open then. A motor may still
+    turn if a program was killed, so every pin that can be brought to rest is, even if others are
+    missing."""
     try:
         return await _open_all(spec)
     except PortError as error:
@@ -189,7 +193,7 @@ async def _open_all(spec: LineSpec) -> OpenPins:
         _open_inputs(spec, opened, inputs)
         for joint in spec.joints:
             opened.encoders.append(_open_encoder(spec, joint))
-        # a channel may still run: it rests before a line can give another direction
+        # a channel may still run: it is brought to rest before a line can give another direction
         await _open_channels(spec, opened, [place for place in places if place.channel is not None])
         _open_outputs(spec, opened, lines)
         undo.pop_all()
@@ -270,7 +274,7 @@ def _channels(spec: LineSpec) -> list[int]:
 
 
 def _find_chip(spec: LineSpec) -> Path:
-    """Raises PortError with the step that gives the wanted channels their pins."""
+    """Return the PWM chip. Raises PortError with the step that gives the channels their pins."""
     try:
         return find_chip(spec.pins.pwm_chip)
     except ChipAbsent as error:
@@ -281,7 +285,7 @@ def _find_chip(spec: LineSpec) -> Path:
 
 
 def _allow_software(spec: LineSpec, places: list[Place]) -> None:
-    """Raises PortError where the robot file does not allow it, or the frequency is too high."""
+    """Raise PortError if the robot file does not allow it, or the frequency is too high."""
     pulses = f"{spec.name}: the pulses of {spec.pins.pwm_chip} are made in software"
     if not spec.pins.software_pwm:
         raise PortError(
@@ -293,10 +297,10 @@ def _allow_software(spec: LineSpec, places: list[Place]) -> None:
 
 
 async def rest_pins(spec: LineSpec) -> list[str]:
-    """Set every pin to no power, even if another one fails; then release them. Channels first, all
-    at once; lines even if the caller has given up on the channels. Returns what could not be done,
-    in words. While the pulses of a motor go on, its direction pins stay as they are.
-    Raises ProfileError."""
+    """Set every pin to no power, even if another one fails; then release the pins. Channels come
+    first, all at once; lines follow even if the caller has given up on the channels. While the
+    pulses of a motor continue, its direction pins stay as they are. Return what could not be done,
+    in words. Raises ProfileError."""
     places = _places(spec)
     channels = [place for place in places if place.channel is not None]
     problems: list[str] = []
@@ -324,8 +328,8 @@ async def _rest_channel(spec: LineSpec, chip: Path, place: Place, driven: set[Pl
 
 
 def _rest_lines(spec: LineSpec, places: list[Place], driven: set[int]) -> list[str]:
-    """All at once; if one is busy or missing, the others. `driven`: joints whose pulses may go
-    on."""
+    """Set the lines to rest all at once; if one is busy or missing, the others. `driven`: joints
+    whose pulses may continue. Return the problems."""
     lines = [
         place
         for place in places
@@ -359,8 +363,8 @@ def _rest_lines(spec: LineSpec, places: list[Place], driven: set[int]) -> list[s
 def split_for_rest(
     spec: LineSpec, lines: list[Place], driven: set[int]
 ) -> tuple[list[Place], list[list[Place]]]:
-    """First lines that may rest one by one, then those that may only rest together. The latter
-    belong to a joint that is driven: two lines that brake it would pass through a direction, and a
+    """Return lines that may rest one by one, then groups that may only rest together. A group
+    belongs to a driven joint: two lines that brake it would pass through a direction, and a
     direction line would reverse it."""
     alone = [place for place in lines if place.joint not in driven or _takes_power(spec, place)]
     others = ([p for p in lines if p.joint == joint and p not in alone] for joint in sorted(driven))
@@ -374,7 +378,7 @@ def _takes_power(spec: LineSpec, place: Place) -> bool:
 
 
 def _set_at_rest(spec: LineSpec, lines: list[Place]) -> None:
-    """Raises PortError."""
+    """Set the lines to rest at once, and release them. Raises PortError."""
     opened = OpenPins(fault_masks=[0] * len(spec.joints))
     try:
         _open_outputs(spec, opened, lines)
@@ -398,7 +402,7 @@ async def _open_channel(spec: LineSpec, chip: Path, place: Place) -> Channel:
 
 @contextlib.contextmanager
 def _saying(place: Place) -> Iterator[None]:
-    """Errors name the pin."""
+    """Put the pin's purpose before the text of a PortError."""
     try:
         yield
     except PortError as error:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """PWM channels of /sys/class/pwm: found by the chip's device, set up in the order that the kernel
-takes, left disabled.
+needs, left disabled.
 
 Source: kernel, Documentation/driver-api/pwm.rst and drivers/pwm/sysfs.c (6.1). A write changes one
 field and applies the whole state, so the period comes before everything else, and a duty above the
@@ -25,23 +25,23 @@ from motord_hal.pwm.claim import claim
 CLASS = Path("/sys/class/pwm")
 SOFTWARE_DRIVER = "pwm-gpio"
 WRITABLE_WITHIN_S = 2.0
-"""Until udev has given the files of a new channel to their group."""
+"""Time limit until udev has given the files of a new channel to their group."""
 LOOK_EVERY_S = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A channel that is set up. The descriptor of `duty_cycle` is this object's, and keeps others
-    from the channel."""
+    """A channel that is set up. This object owns the descriptor of `duty_cycle`, which keeps other
+    programs from the channel."""
 
     folder: Path
     duty_fd: int
     rests_low: bool = True
 
     def close(self) -> None:
-        """End its pulses, then release it. The caller sets the last value. A channel that rests
-        high stays enabled: disabled it would be low, and an active-low pin would have power. Raises
-        PortError if pulses may go on; it is released then, too."""
+        """End the pulses, then release the channel. The caller sets the last value. A channel that
+        rests high stays enabled: disabled it would be low, and an active-low pin would have power.
+        Raises PortError if pulses may continue; the channel is released then, too."""
         try:
             if self.rests_low:
                 (self.folder / "enable").write_text("0")
@@ -53,13 +53,13 @@ class Channel:
 
 
 class ChipAbsent(PortError):
-    """There is no such chip."""
+    """No such PWM chip exists."""
 
 
 def find_chip(wanted: str, root: Path = CLASS) -> Path:
-    """The chip whose device has `wanted` in its path (the numbers of chips change from boot to
-    boot), or pwmchipN by its number, or a folder by its whole path. Raises ChipAbsent, or PortError
-    where several fit."""
+    """Return the chip whose device has `wanted` in its path (the numbers of chips change from boot
+    to boot), or pwmchipN by its number, or a folder by its whole path. Raises ChipAbsent, or
+    PortError if several fit."""
     if wanted.startswith("/"):
         return Path(wanted)
     chips = {path.name: path.resolve() for path in sorted(root.glob("pwmchip*"))}
@@ -82,8 +82,8 @@ def made_in_software(chip: Path) -> bool:
 
 
 async def open_channel(chip: Path, number: int, period_ns: int, rest_ns: int) -> Channel:
-    """Export it, claim it, let it rest, and enable it at `rest_ns` of `period_ns`. Raises
-    PortError; a channel that another program drives is not touched."""
+    """Export and claim a channel, bring it to rest, and enable it at `rest_ns` of `period_ns`.
+    Raises PortError. A channel that another program drives is not touched."""
     folder = chip / f"pwm{number}"
     with contextlib.ExitStack() as undo:
         try:
@@ -115,8 +115,8 @@ async def _until_writable(folder: Path) -> None:
 
 
 def _set_up(folder: Path, period_ns: int, rest_ns: int) -> None:
-    """A channel may still run as its last user left it: first its pulses end. A channel that rests
-    high stays as high meanwhile as the old and the new period allow."""
+    """Set a channel up, which may still run as its last user left it: first end its pulses. A
+    channel that rests high stays as high meanwhile as the old and the new period allow."""
     old_ns = int((folder / "period").read_text())
     if old_ns > 0 and rest_ns > 0:
         (folder / "duty_cycle").write_text(str(min(old_ns, period_ns)))
@@ -132,7 +132,7 @@ def _set_up(folder: Path, period_ns: int, rest_ns: int) -> None:
 
 
 def device_of(chip: Path) -> str:
-    """The name of a chip's device."""
+    """Return the name of a chip's device."""
     return Path(os.path.realpath(chip / "device")).name
 
 

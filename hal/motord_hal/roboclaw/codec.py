@@ -7,8 +7,8 @@ is address and command alone, and is answered by content and CRC. The CRC is CRC
 address, command and content; numbers stand high byte first.
 
 In a drive profile with `protocol = "roboclaw"` a register's address is command << 8 | word of its
-content; a value that is read by one command and written by another has the address of the one that
-writes. Content of one byte is a word.
+content. A value that is read by one command and written by another has the address of the writing
+one. Content of one byte is a word.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ ACKNOWLEDGED = b"\xff"
 CRC_BYTES = 2
 DUTIES, SPEEDS = 34, 37
 WRITE_BYTES = MappingProxyType({14: 1, DUTIES: 4, SPEEDS: 8})
-"""Content of each command that writes: 14 serial timeout, 34 both duties, 37 both speeds."""
+"""Bytes of content of each writing command: 14 serial timeout, 34 both duties, 37 both speeds."""
 READ_BYTES = MappingProxyType({15: 1, 24: 2, 49: 4, 78: 8, 82: 2, 90: 4, 108: 8})
-"""Content of each answer: 15 serial timeout, 24 main battery, 49 both currents, 78 both encoders,
-82 temperature, 90 status, 108 both mean speeds."""
+"""Bytes of content of each answer: 15 serial timeout, 24 main battery, 49 both currents, 78 both
+encoders, 82 temperature, 90 status, 108 both mean speeds."""
 READ_BY = MappingProxyType({14: 15})
-"""The command that reads what a command writes."""
+"""Writing command → command that reads the same value."""
 WRITTEN_BY = MappingProxyType({reading: writing for writing, reading in READ_BY.items()})
 
 
 class PacketError(ValueError):
-    """Bytes that are not the answer, or a request that RoboClaw does not have."""
+    """Bytes that are not the expected answer, or a request that RoboClaw does not have."""
 
 
 def _words(content: bytes) -> tuple[int, ...]:
@@ -54,7 +54,7 @@ def reading_command(request: Request) -> int:
 
 
 def build(request: Request) -> bytes:
-    """A read or write of registers as a packet; content that is not named is 0. Raises
+    """Return the packet for a read or write of registers. Content without a value is 0. Raises
     PacketError."""
     if request.function is Function.READ_HOLDING:
         command = reading_command(request)
@@ -72,14 +72,14 @@ def build(request: Request) -> bytes:
 
 
 def reply_size(request: Request) -> int:
-    """Length of the answer in bytes."""
+    """Return the length of the answer in bytes."""
     if request.function is not Function.READ_HOLDING:
         return len(ACKNOWLEDGED)
     return READ_BYTES[reading_command(request)] + CRC_BYTES
 
 
 def parse(request: Request, reply: bytes) -> tuple[int, ...]:
-    """The words that a read requested, none for a write. Raises PacketError."""
+    """Return the words that a read requested; none for a write. Raises PacketError."""
     if len(reply) != reply_size(request):
         raise PacketError(f"{reply.hex(' ')} is no answer of {reply_size(request)} bytes")
     if request.function is not Function.READ_HOLDING:
@@ -95,7 +95,7 @@ def parse(request: Request, reply: bytes) -> tuple[int, ...]:
 
 # ------------------------------------------------------------------------- the controller's side
 def packet_bytes(packet: bytes) -> int | None:
-    """Length of a packet that begins like this; None: too short, or an unknown command."""
+    """Return the length of a packet that begins so; None: too short, or an unknown command."""
     if len(packet) < 2:
         return None
     size = WRITE_BYTES.get(packet[1])
@@ -105,7 +105,7 @@ def packet_bytes(packet: bytes) -> int | None:
 
 
 def parse_packet(packet: bytes) -> Request:
-    """What a whole packet requests. Raises PacketError."""
+    """Return the request in a whole packet. Raises PacketError."""
     if packet_bytes(packet) != len(packet):
         raise PacketError(f"{packet.hex(' ')} is no packet")
     unit, command = packet[0], packet[1]
@@ -120,7 +120,7 @@ def parse_packet(packet: bytes) -> Request:
 
 
 def build_reply(packet: bytes, words: tuple[int, ...]) -> bytes:
-    """The answer to a good packet."""
+    """Return the answer to a good packet."""
     unit, command = packet[0], packet[1]
     if command not in READ_BYTES:
         return ACKNOWLEDGED

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sabertooth packet serial from the driver's side, for the simulator; the line's own packets are in
-csrc/fieldbus/board/board_packets.c.
+"""Sabertooth packet serial from the driver's side, for the simulator. The line builds its own
+packets in csrc/fieldbus/board/board_packets.c.
 
 Source: Dimension Engineering, Sabertooth 2x12 and 2x25 user's guides, mode 4 (packetized serial):
 address, command, value, and the low seven bits of their sum. A Sabertooth sends nothing. Commands 0
@@ -19,7 +19,7 @@ from motord_hal.drives.profile import DriveProfile
 
 PACKET_BYTES = 4
 CYCLE_BYTES = 3 * PACKET_BYTES
-"""The time-out and two motors."""
+"""Bytes of one cycle: the time-out and two motors."""
 UNITS = range(128, 136)
 TIMEOUT_AT = 0
 ADDRESSES = 3
@@ -39,7 +39,7 @@ def packet(unit: int, number: int, value: int) -> bytes:
 
 
 class Receiver:
-    """Reads packets from a stream, as a driver at one address does."""
+    """Receiver of packets from a stream, like a driver at one address."""
 
     def __init__(self, profile: DriveProfile, unit: int) -> None:
         self._names = {each.address: each.name for each in profile.registers.values()}
@@ -47,8 +47,8 @@ class Receiver:
         self._tail = b""
 
     def feed(self, data: bytes) -> Iterator[dict[str, int] | None]:
-        """Register → raw of each packet for this unit; None: no packet, or a wrong check
-        sum. Only an address is above 127: such a byte always begins a packet."""
+        """Yield register → raw value of each packet for this unit; None: no packet, or a wrong
+        check sum. Only an address is above 127, so such a byte always begins a packet."""
         for byte in data:
             if byte > 0x7F:
                 if self._tail:

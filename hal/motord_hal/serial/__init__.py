@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial ports: found, opened for ourselves alone, set up, and their transceivers turned."""
+"""Serial ports: search, exclusive opening, settings, and the direction of RS485 transceivers."""

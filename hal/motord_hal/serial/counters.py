@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the UART's driver counted, and what it shows about an unresponsive drive.
+"""Counters of the UART's driver, and what they show about an unresponsive drive.
 
 Source: kernel, include/uapi/linux/serial.h (struct serial_icounter_struct), ioctl TIOCGICOUNT.
 """
@@ -15,7 +15,7 @@ from motord_hal.base.clock import now_s
 
 LOOK_EVERY_S = 0.2
 LOOKS_KEPT = 10
-"""Errors of the last two seconds may explain an unresponsive drive."""
+"""Number of kept looks: errors of the last two seconds may explain an unresponsive drive."""
 
 _TIOCGICOUNT = 0x545D
 _ICOUNTER = struct.Struct("=20i")
@@ -23,7 +23,7 @@ _ICOUNTER = struct.Struct("=20i")
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """Since the driver was loaded."""
+    """Counts of the driver since it was loaded."""
 
     received: int
     framing: int
@@ -32,7 +32,7 @@ class Counters:
 
 
 def read_counters(fd: int) -> Counters | None:
-    """None where the driver does not count (pseudo-terminals, some adapters)."""
+    """Return the driver's counts; None: it does not count (pseudo-terminals, some adapters)."""
     try:
         raw = _ICOUNTER.unpack(fcntl.ioctl(fd, _TIOCGICOUNT, bytes(_ICOUNTER.size)))
     except OSError:
@@ -46,14 +46,14 @@ def _times(count: int, what: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """What came over the line since the port was opened."""
+    """Traffic over the line since the port was opened."""
 
     noise_bytes: int = 0
-    """Bytes that are neither a frame nor the copy of a request."""
+    """Number of bytes that are neither a frame nor the copy of a request."""
     frames: int = 0
-    """Good replies and refusals, of any drive."""
+    """Number of good replies and refusals, of any drive."""
     late: int = 0
-    """Good replies that came too late."""
+    """Number of good replies that came too late."""
 
 
 NOTHING = Traffic()
@@ -65,7 +65,7 @@ def unresponsive_hint(
     seen: Traffic = NOTHING,
     now: Traffic = NOTHING,
 ) -> str:
-    """Why a drive may be unresponsive, to stand behind "is unresponsive"; empty: no hint. `seen` is
+    """Return why a drive may be unresponsive, to follow "is unresponsive"; "": no hint. `seen` is
     from the time of `before`."""
     if before is not None and after is not None:
         framing, parity = after.framing - before.framing, after.parity - before.parity
@@ -91,23 +91,23 @@ def unresponsive_hint(
 
 
 class Witness:
-    """Remembers what an open port counted lately, for the moment when a drive stops answering."""
+    """Memory of the latest counts of an open port, for the moment when a drive stops answering."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, Counters | None, Traffic]] = deque(maxlen=LOOKS_KEPT)
 
     def forget(self) -> None:
-        """The port was opened again."""
+        """Begin anew after the port was opened again."""
         self._seen.clear()
 
     def look(self, fd: int, traffic: Traffic = NOTHING) -> None:
-        """Call it often: it reads the driver's counters when that is due."""
+        """Read the driver's counters when that is due. Call this often."""
         now = now_s()
         if not self._seen or now - self._seen[-1][0] >= LOOK_EVERY_S:
             self._seen.append((now, read_counters(fd), traffic))
 
     def hint(self, fd: int, traffic: Traffic = NOTHING) -> str:
-        """As unresponsive_hint, from the oldest stored counters to now."""
+        """Return `unresponsive_hint` from the oldest stored counters to now."""
         if not self._seen:
             return ""
         _, before, seen = self._seen[0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turning an RS485 transceiver by the UART's own driver.
+"""Direction of an RS485 transceiver that the UART's own driver switches.
 
 Source: kernel, Documentation/driver-api/serial/serial-rs485.rst and include/uapi/linux/serial.h.
 """
@@ -18,11 +18,12 @@ _TIOCSRS485 = 0x542F
 _RS485 = struct.Struct("=3I20x")
 _ENABLED, _RTS_ON_SEND, _RTS_AFTER_SEND, _RX_DURING_TX = 1, 2, 4, 16
 _DELAY_MAX_MS = 100
-"""The longest that the serial core takes (RS485_MAX_RTS_DELAY)."""
+"""Longest delay that the serial core accepts (RS485_MAX_RTS_DELAY)."""
 
 
 def pack_rs485(spec: DirectionSpec) -> bytes:
-    """struct serial_rs485. Delays are whole milliseconds there, rounded up. Raises ValueError."""
+    """Return struct serial_rs485. Delays are rounded up to whole milliseconds. Raises
+    ValueError."""
     delays_ms = []
     for delay_s in (spec.before_s, spec.after_s):
         if not 0.0 <= delay_s <= _DELAY_MAX_MS * 1e-3:
@@ -33,7 +34,7 @@ def pack_rs485(spec: DirectionSpec) -> bytes:
 
 
 def kept_problem(asked: bytes, kept: bytes) -> str:
-    """The settings that the driver changed, in words; empty: none that matters."""
+    """Return the settings that the driver changed, in words; "": no important one."""
     flags, *delays_ms = _RS485.unpack(asked)
     kept_flags, *kept_delays_ms = _RS485.unpack(kept)
     if not kept_flags & _ENABLED:
@@ -48,7 +49,7 @@ def kept_problem(asked: bytes, kept: bytes) -> str:
 
 
 def set_kernel_direction(fd: int, port: str, spec: DirectionSpec) -> None:
-    """Let the driver turn the transceiver, and check its settings. Raises PortError."""
+    """Make the driver turn the transceiver, and check its settings. Raises PortError."""
     try:
         asked = pack_rs485(spec)
         fcntl.ioctl(fd, _TIOCSRS485, asked)

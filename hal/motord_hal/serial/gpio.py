@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The GPIO line that turns a transceiver."""
+"""GPIO line that turns a transceiver."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from motord_hal.gpio.lines import Wanted, request_outputs
 
 
 def request_line(spec: DirectionSpec, name: str, dev: Path = Path("/dev")) -> int:
-    """The descriptor of the line `name`'s GPIO line, an output at the level for receiving: the
-    caller closes it. Raises PortError."""
+    """Request the GPIO line of the line `name`, as an output at the level for receiving. The caller
+    closes the descriptor. Raises PortError."""
     purpose, listening_high = f"line {name}, direction", not spec.active_high
     wanted = Wanted(line=spec.gpio_line, purpose=purpose, high=listening_high)
     return request_outputs(spec.gpio_chip, [wanted], f"motord {name}", dev)

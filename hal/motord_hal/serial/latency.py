@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No waiting in the adapter: ASYNC_LOW_LATENCY, and the latency timer of FTDI chips.
+"""Removal of an adapter's delay: ASYNC_LOW_LATENCY, and the latency timer of FTDI chips.
 
 Sources: kernel, include/uapi/linux/serial.h and tty_flags.h; drivers/usb/serial/ftdi_sio.c
 (latency_timer: 1 to 255 ms, 16 as delivered; FTDI AN232B-04).
@@ -14,16 +14,17 @@ import termios
 from pathlib import Path
 
 _FLAGS_OFFSET = 16
-"""In struct serial_struct: after type, line, port and irq."""
+"""Position in struct serial_struct: after type, line, port and irq."""
 _SERIAL_STRUCT_BYTES = 128
-"""Larger than struct serial_struct on any architecture."""
+"""Buffer size, larger than struct serial_struct on any architecture."""
 _ASYNC_LOW_LATENCY = 1 << 13
 _TIMER_MS = 1
 UDEV_LINE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
 def ask_low_latency(fd: int) -> bool:
-    """Whether the driver now hands bytes on at once; False where it has no such flag."""
+    """Request low latency. Return whether the driver now hands bytes on at once; False: it has no
+    such flag."""
     state = bytearray(_SERIAL_STRUCT_BYTES)
     try:
         fcntl.ioctl(fd, termios.TIOCGSERIAL, state)
@@ -36,8 +37,8 @@ def ask_low_latency(fd: int) -> bool:
 
 
 def shorten_latency_timer(device: str, sys: Path = Path("/sys")) -> str:
-    """Sets an FTDI adapter's timer to 1 ms. Returns a remaining problem in a sentence; empty:
-    none."""
+    """Set an FTDI adapter's timer to 1 ms. Return a remaining problem in a sentence; "": no
+    problem."""
     name = Path(os.path.realpath(device)).name
     timer = sys / "class" / "tty" / name / "device" / "latency_timer"
     try:

@@ -3,9 +3,9 @@
 
 It works around four problems of pyserial 3.5 and pyserial-asyncio-fast 0.16:
 
-- pyserial tries for ever, in the event loop, where a port that must not block is full;
-- the transport closes the port later and in a thread, where the next opener would find it taken;
-- before that it waits until everything has gone out, which a port that is stuck never does;
+- pyserial tries for ever, in the event loop, if a non-blocking port is full;
+- the transport closes the port later and in a thread, and the next opener would find it taken;
+- before that it waits until everything has gone out, which never ends if the port is stuck;
 - a write that fails because the adapter went away is logged as a mistake of the program.
 """
 
@@ -25,8 +25,8 @@ from motord_hal.serial.port import reason
 
 READ_BYTES = 4096
 WAITING_BYTES_MAX = 256
-"""The longest frame of MODBUS over Serial Line (V1.02, 2.5.1). One request is sent at a time: if
-more than one waits, the port is stuck."""
+"""Limit for waiting bytes: the longest frame of MODBUS over Serial Line (V1.02, 2.5.1). One request
+is sent at a time: if more than one waits, the port is stuck."""
 _PARITY = {"none": "N", "even": "E", "odd": "O"}
 
 
@@ -41,7 +41,7 @@ class LoopPort(Serial):
         stop_bits: int,
         protocol: asyncio.Protocol,
     ) -> None:
-        """Raises PortError."""
+        """Open the port. Raises PortError."""
         self._one_closes = threading.Lock()
         self._failed = ""
         try:
@@ -64,7 +64,7 @@ class LoopPort(Serial):
 
     @property
     def is_usable(self) -> bool:
-        """Once False, it stays so: the port went away, or was closed."""
+        """Whether the port can be used. False is final: the port went away, or was closed."""
         return not self.transport.is_closing() and not self._failed
 
     @property
@@ -77,17 +77,17 @@ class LoopPort(Serial):
         try:
             return self.out_waiting > WAITING_BYTES_MAX
         except OSError:
-            return False  # it is lost, as the reader will find
+            return False  # the port is lost, and the reader will find that
 
     def drain(self) -> bytes:
-        """Bytes that came and were not handed on yet. Raises PortError."""
+        """Return received bytes that were not handed on yet. Raises PortError."""
         try:
             return bytes(self.read(READ_BYTES))
         except SerialException as error:
             raise PortError(f"{self.name} went away: {error}") from error
 
     def let_go(self) -> None:
-        """Close it at once. If it is stuck, unsent bytes are dropped."""
+        """Close the port at once. If it is stuck, unsent bytes are dropped."""
         if self.is_stuck:
             with contextlib.suppress(termios.error):
                 self.reset_output_buffer()
@@ -98,7 +98,7 @@ class LoopPort(Serial):
 
     # ------------------------------------------------------------------- what the transport calls
     def write(self, data: bytes) -> int:  # type: ignore[override]  # of what pymodbus sends
-        """Never waits: of a full port the transport gets BlockingIOError."""
+        """Write without waiting. If the port is full, the transport gets BlockingIOError."""
         try:
             return os.write(self.fileno(), data)
         except BlockingIOError:
@@ -111,7 +111,7 @@ class LoopPort(Serial):
         """Do not wait for unsent bytes."""
 
     def close(self) -> None:
-        """As Serial.close, which two threads must not enter: a descriptor closed twice may be
-        another file's by then."""
+        """Close as Serial.close does, which two threads must not enter: a descriptor that is closed
+        twice may belong to another file by then."""
         with self._one_closes:
             super().close()

@@ -24,15 +24,15 @@ class SettingRefused(PortError):
 
 @dataclass(slots=True)
 class OpenPort:
-    """An open port. The descriptors are this object's own."""
+    """An open port. This object owns the descriptors."""
 
     fd: int
     de_fd: int = -1
-    """GPIO line that turns the transceiver; -1: none."""
+    """Descriptor of the GPIO line that turns the transceiver; -1: no line."""
     path: str = ""
-    """The device file that was found."""
+    """Path of the device file that was found."""
     facts: tuple[str, ...] = ()
-    """What the user should know of this port, in sentences."""
+    """Facts on this port for the user, in sentences."""
 
     def flush(self) -> None:
         """Drop bytes that have come or wait to be sent. Raises PortError."""
@@ -48,7 +48,7 @@ class OpenPort:
 
 
 def open_port(spec: LineSpec) -> OpenPort:
-    """The port of a line; an adapter is found again under another name. Raises PortError."""
+    """Open the port of a line. An adapter is found again under another name. Raises PortError."""
     path = device_file(spec.port)
     fd = open_exclusively(path)
     with contextlib.ExitStack() as undo:
@@ -70,8 +70,8 @@ def open_port(spec: LineSpec) -> OpenPort:
 
 
 def tune(fd: int, path: str, spec: LineSpec) -> tuple[str, ...]:
-    """Settings beyond termios: the kernel's direction and the adapter's latency. Returns facts
-    for the user. Raises PortError."""
+    """Set what termios does not cover: the kernel's direction and the adapter's latency. Return
+    facts for the user. Raises PortError."""
     if spec.direction.kind is DirectionKind.KERNEL:
         set_kernel_direction(fd, path, spec.direction)
     ask_low_latency(fd)
@@ -80,7 +80,7 @@ def tune(fd: int, path: str, spec: LineSpec) -> tuple[str, ...]:
 
 
 def open_exclusively(path: str) -> int:
-    """A descriptor that does not block, of a port that no other program has. Raises PortError."""
+    """Return a non-blocking descriptor of a port that no other program has. Raises PortError."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
@@ -94,7 +94,7 @@ def open_exclusively(path: str) -> int:
 
 
 def reason(path: str, error: OSError) -> str:
-    """Why a port cannot be opened, and what to do."""
+    """Return why a port cannot be opened, and what to do."""
     if busy(error):
         return (
             f"another program has it open: {', '.join(holders(path)) or 'not visible to this user'}"

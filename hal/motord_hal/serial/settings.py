@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Raw termios for any baud rate, read back: a driver may set less than requested.
+"""Raw termios for any baud rate. Settings are read back: a driver may set less than requested.
 
 Sources: termios(3), ioctl_tty(2); struct termios2 and BOTHER: linux asm-generic/termbits.h.
 """
@@ -20,9 +20,10 @@ _BOTHER = 0o010000
 _CBAUD = 0o010017
 _INPUT_BAUD_SHIFT = 16
 _PTY_MAJORS = range(136, 144)
-"""Documentation/admin-guide/devices.txt: Unix98 pty slaves."""
+"""Major numbers of Unix98 pty slaves: Documentation/admin-guide/devices.txt."""
 BAUDRATE_TOLERANCE = 0.02
-"""A receiver samples mid-bit: half a bit in ten, shared by both ends, leaves about 2 % to each."""
+"""Greatest relative error. A receiver samples mid-bit: half a bit in ten, shared by both ends,
+leaves about 2 % to each."""
 PARITY = MappingProxyType(
     {"none": 0, "even": termios.PARENB, "odd": termios.PARENB | termios.PARODD}
 )
@@ -30,13 +31,14 @@ _FRAMING = termios.CSIZE | termios.CSTOPB | termios.PARENB | termios.PARODD
 
 
 def is_pty(fd: int) -> bool:
-    """A pseudo-terminal: it has no wire, so it keeps no parity (drivers/tty/pty.c)."""
+    """Whether it is a pseudo-terminal: it has no wire, so it keeps no parity
+    (drivers/tty/pty.c)."""
     return os.major(os.fstat(fd).st_rdev) in _PTY_MAJORS
 
 
 def set_raw(fd: int, baudrate: int, parity: str, stop_bits: int) -> None:
-    """Eight data bits, raw, no flow control, no modem lines. Raises OSError, termios.error, or
-    ValueError with what the driver did not take."""
+    """Set eight data bits, raw, no flow control, no modem lines. Raises OSError, termios.error, or
+    ValueError with the setting that the driver did not take."""
     stop = termios.CSTOPB if stop_bits == 2 else 0
     control = termios.CS8 | termios.CLOCAL | termios.CREAD | stop | PARITY[parity]
     speed = getattr(termios, f"B{baudrate}", None)
@@ -65,8 +67,8 @@ def _check(fd: int, baudrate: int, control: int) -> None:
 
 
 def claim(fd: int) -> None:
-    """Exclusive: TIOCEXCL keeps other openers out, the lock those that may pass it (root).
-    Raises OSError."""
+    """Make the port exclusive: TIOCEXCL keeps other openers out, the lock those that may pass it
+    (root). Raises OSError."""
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     fcntl.ioctl(fd, termios.TIOCEXCL)
 

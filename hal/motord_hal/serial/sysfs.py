@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The device file that an adapter has now, and the program that holds it."""
+"""The present device file of an adapter, and the program that holds it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _text(path: Path) -> str:
 
 
 def usb_ports() -> list[ListPortInfo]:
-    """The serial ports of all USB adapters that are plugged in."""
+    """Return the serial ports of all USB adapters that are plugged in."""
     # imported only here: lines whose port is a path need no pyserial
     from serial.tools.list_ports import comports
 
@@ -35,7 +35,7 @@ def usb_ports() -> list[ListPortInfo]:
 
 
 def device_file(port: str) -> str:
-    """The device file that `port` (a path, or usb:SERIAL) means now. Raises PortError."""
+    """Return the device file that `port` (a path, or usb:SERIAL) means now. Raises PortError."""
     if not port.startswith(USB_PREFIX):
         return port
     serial = port.removeprefix(USB_PREFIX)
@@ -55,8 +55,8 @@ def device_file(port: str) -> str:
 
 
 def holders(path: str, proc: Path = _PROC) -> tuple[str, ...]:
-    """The other programs that have the file open, as "program (pid N)": as far as permissions
-    allow."""
+    """Return the other programs that have the file open, as "program (pid N)", as far as
+    permissions allow."""
     real = os.path.realpath(path)
     found = []
     for process in proc.glob("[0-9]*"):

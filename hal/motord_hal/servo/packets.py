@@ -2,8 +2,8 @@
 """Packets of bus servos as pure functions: Feetech's protocol 0 (STS and SMS series) and ROBOTIS'
 Dynamixel protocol 2.0.
 
-A packet is a head, the unit, a length, an instruction (of a status: the error), parameters and a
-check sum; a servo's registers are bytes by address, low byte first. Feetech's SCS series has the
+A packet is a head, the unit, a length, an instruction (or, in a status, the error), parameters and
+a check sum. A servo's registers are bytes by address, low byte first. Feetech's SCS series has the
 high byte first (profiles mark it by the register's type) and no sync read. Sources: the makers'
 SDKs (`ftservo-python-sdk`, protocol_packet_handler.py; `dynamixel-sdk`,
 protocol2_packet_handler.py) and the ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0: instruction packet,
@@ -21,13 +21,14 @@ from typing import Literal, Protocol
 from motord_hal.drives.profile import DriveProfile, Register
 
 UNIT_MAX = 252
-"""ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, packet ID: the range of every bus servo, from 0 on."""
+"""Greatest unit number of a bus servo; the least is 0: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0,
+packet ID."""
 BROADCAST_UNIT = 0xFE
 KINDS = ("feetech", "dynamixel")
 """Kinds of lines, and protocols of drive profiles, that use such packets."""
 INSTRUCTION_ADDRESS = 0xFF00
-"""A register from here on is no address in the servo: writing it sends the instruction of its low
-byte, without parameters (0xFF08: reboot)."""
+"""First register that is no address in the servo. A write to one sends the instruction in the
+register's low byte, without parameters (0xFF08: reboot)."""
 
 
 class Instruction(IntEnum):
@@ -36,11 +37,11 @@ class Instruction(IntEnum):
     WRITE = 0x03
     REBOOT = 0x08
     STATUS = 0x55
-    """Of a Dynamixel's answer."""
+    """Instruction of a Dynamixel's answer."""
     SYNC_READ = 0x82
     SYNC_WRITE = 0x83
     FAST_SYNC_READ = 0x8A
-    """Of Dynamixels: all answer in one packet."""
+    """Instruction for Dynamixels: all answer in one packet."""
 
 
 DYNAMIXEL_ERRORS = MappingProxyType(
@@ -54,12 +55,12 @@ DYNAMIXEL_ERRORS = MappingProxyType(
         7: "access error",
     }
 )
-"""Error numbers (ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, status packet, error)."""
+"""Texts by error number: ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, status packet, error."""
 
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """A good one. `code`: its instruction; of a status, the error byte."""
+    """A good packet. `code` is the instruction; in a status, the error byte."""
 
     unit: int
     code: int
@@ -67,33 +68,34 @@ class Packet:
 
 
 class Packets(Protocol):
-    """One of the two protocols."""
+    """One of the two packet protocols."""
 
     head_bytes: int
-    """Before a packet's instruction."""
+    """Number of bytes before a packet's instruction."""
     status_head_bytes: int
-    """Before a status' data."""
+    """Number of bytes before a status' data."""
     seal_bytes: int
     unit_byte: int
     match_bytes: int
-    """The bytes of a status with its unit, and its length if that is fixed."""
+    """Number of bytes that identify a status: with its unit, and its length if that is fixed."""
 
     def build(self, unit: int, code: int, parameters: bytes = b"") -> bytes:
-        """A request as it goes out."""
+        """Return a request as it is sent."""
 
     def build_status(self, unit: int, error: int, parameters: bytes = b"") -> bytes:
-        """What a servo answers."""
+        """Return the answer of a servo."""
 
     def number(self, value: int) -> bytes:
-        """An address, or a count of bytes."""
+        """Return an address, or a count of bytes, as bytes of a packet."""
 
     def take(self, data: bytes, *, status: bool = False) -> tuple[Packet | None, int]:
-        """The first packet in the bytes, and how many bytes are used up: without a packet none, or
-        garbage. Raises PacketError if a whole packet has a wrong check sum."""
+        """Return the first packet in the bytes, or None, and the number of used bytes; without a
+        packet these are only garbage. Raises PacketError if a whole packet has a wrong check
+        sum."""
 
 
 class PacketError(ValueError):
-    """A whole packet with a wrong check sum. `done`: how many bytes are used up."""
+    """A whole packet with a wrong check sum. `done` is the number of used bytes."""
 
     def __init__(self, done: int) -> None:
         super().__init__("wrong check sum")
@@ -101,7 +103,7 @@ class PacketError(ValueError):
 
 
 class FeetechPackets:
-    """FF FF, unit, length, instruction or error, parameters, inverted sum."""
+    """Packets of FF FF, unit, length, instruction or error, parameters, inverted sum."""
 
     head_bytes = 4
     status_head_bytes = 5
@@ -110,18 +112,18 @@ class FeetechPackets:
     match_bytes = 4
 
     def build(self, unit: int, code: int, parameters: bytes = b"") -> bytes:
-        """As Packets.build."""
+        """Implement `Packets.build`."""
         body = bytes((unit, len(parameters) + 2, code)) + parameters
         return b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
 
     build_status = build
-    """A status has the same form."""
+    """Implements `Packets.build_status`: a status has the same form."""
 
     def number(self, value: int) -> bytes:
         return bytes((value,))
 
     def take(self, data: bytes, *, status: bool = False) -> tuple[Packet | None, int]:
-        """As Packets.take."""
+        """Implement `Packets.take`."""
         del status
         at = data.find(b"\xff\xff")
         if at < 0:
@@ -154,7 +156,7 @@ _CRC_TABLE = _crc_table()
 
 
 def crc16(data: bytes) -> int:
-    """Polynomial 0x8005, not reflected, start 0 (ROBOTIS e-Manual, CRC)."""
+    """Return the CRC with polynomial 0x8005, not reflected, start 0 (ROBOTIS e-Manual, CRC)."""
     crc = 0
     for byte in data:
         crc = (crc << 8 ^ _CRC_TABLE[crc >> 8 ^ byte]) & 0xFFFF
@@ -162,8 +164,8 @@ def crc16(data: bytes) -> int:
 
 
 class DynamixelPackets:
-    """FF FF FD 00, unit, length, instruction, parameters (of a status: the error first), CRC. Where
-    FF FF FD stands in them, one more FD follows."""
+    """Packets of FF FF FD 00, unit, length, instruction, parameters (in a status the error first),
+    CRC. After each FF FF FD in instruction and parameters, one more FD is inserted."""
 
     head_bytes = 7
     status_head_bytes = 9
@@ -172,21 +174,21 @@ class DynamixelPackets:
     match_bytes = 5
 
     def build(self, unit: int, code: int, parameters: bytes = b"") -> bytes:
-        """As Packets.build."""
+        """Implement `Packets.build`."""
         body = (bytes((code,)) + parameters).replace(_HEAD, _HEAD + b"\xfd")
         length = (len(body) + 2).to_bytes(2, "little")
         packet = _HEAD + b"\0" + bytes((unit,)) + length + body
         return packet + crc16(packet).to_bytes(2, "little")
 
     def build_status(self, unit: int, error: int, parameters: bytes = b"") -> bytes:
-        """As Packets.build_status."""
+        """Implement `Packets.build_status`."""
         return self.build(unit, Instruction.STATUS, bytes((error,)) + parameters)
 
     def number(self, value: int) -> bytes:
         return value.to_bytes(2, "little")
 
     def take(self, data: bytes, *, status: bool = False) -> tuple[Packet | None, int]:
-        """As Packets.take."""
+        """Implement `Packets.take`."""
         at = data.find(_HEAD + b"\0")
         if at < 0:
             return None, max(len(data) - 3, 0)
@@ -210,9 +212,10 @@ _HEAD = b"\xff\xff\xfd"
 
 
 def build_fast_status(asked: int, answers: Iterable[tuple[int, int, bytes]]) -> list[bytes]:
-    """The bytes of each servo for a fast sync read of so many: `answers`: unit, error and data. The
-    first one sends the head, with the length of what all are to send; each ends with the CRC of the
-    packet so far. Nothing is stuffed (`dynamixel-sdk`, group_sync_read.py)."""
+    """Return the bytes of each servo in the answer to a fast sync read of `asked` servos. `answers`
+    are unit, error and data. The first servo sends the head, with the length of all bytes to come.
+    Each ends with the CRC of the packet so far. Nothing is stuffed (`dynamixel-sdk`,
+    group_sync_read.py)."""
     packet, parts = b"", []
     for unit, error, data in answers:
         begin = len(packet)
@@ -226,8 +229,8 @@ def build_fast_status(asked: int, answers: Iterable[tuple[int, int, bytes]]) -> 
 
 
 def split_fast_status(status: Packet, count: int) -> Iterator[Packet]:
-    """The statuses of all servos, each with so many bytes of data, from one answer to a fast sync
-    read."""
+    """Yield the statuses of all servos, each with `count` bytes of data, from one answer to a fast
+    sync read."""
     blocks = bytes((status.code,)) + status.parameters
     for at in range(0, len(blocks) - count - 1, count + 4):
         yield Packet(blocks[at + 1], blocks[at], blocks[at + 2 : at + 2 + count])
@@ -239,12 +242,12 @@ _PACKETS: Mapping[str, Packets] = MappingProxyType(
 
 
 def packets_of(kind: str) -> Packets:
-    """The packets of a line's kind, or of a profile's protocol."""
+    """Return the packets of a line's kind, or of a profile's protocol."""
     return _PACKETS[kind]
 
 
 def take_all(packets: Packets, data: bytes, *, status: bool = False) -> Iterator[Packet | None]:
-    """Every packet in the bytes; None: one with a wrong check sum."""
+    """Yield every packet in the bytes; None: one with a wrong check sum."""
     while data:
         try:
             packet, done = packets.take(data, status=status)
@@ -259,7 +262,7 @@ def take_all(packets: Packets, data: bytes, *, status: bool = False) -> Iterator
 
 
 def is_whole(packets: Packets, data: bytes) -> bool:
-    """Whether the bytes end with a packet's end."""
+    """Whether the bytes end with the end of a packet."""
     while data:
         try:
             done = packets.take(data)[1]
@@ -277,13 +280,13 @@ def size_bytes(register: Register) -> int:
 
 
 def has_no_sync_read(profile: DriveProfile) -> bool:
-    """As Feetech's SCS series, recognised by numbers with the high byte first
-    (`ftservo-python-sdk`, scscl.py: it reads servos one by one)."""
+    """Whether the servo has no sync read, like Feetech's SCS series, which is recognised by numbers
+    with the high byte first (`ftservo-python-sdk`, scscl.py: it reads servos one by one)."""
     return any(register.type.high_first for register in profile.registers.values())
 
 
 def encode(register: Register, raw: int) -> bytes:
-    """A raw value as bytes of a packet. Raises ValueError if it does not fit."""
+    """Return a raw value as bytes of a packet. Raises ValueError if it does not fit."""
     low, high = register.raw_range
     if not low <= raw <= high:
         raise ValueError(f"{register.name}: {raw} does not fit {register.type.value}")
@@ -298,7 +301,7 @@ def _order(register: Register) -> Literal["big", "little"]:
 
 
 def decode(register: Register, data: bytes) -> int:
-    """The raw value of these bytes, of which the first ones are the register's."""
+    """Return the raw value at the beginning of these bytes."""
     size = size_bytes(register)
     value, bits = int.from_bytes(data[:size], _order(register)), 8 * size
     if register.type.magnitude:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One motor of a drive, between its registers and its wheel."""
+"""One motor of a simulated drive, between its registers and its wheel."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from motord_hal.sim.plant import Encoder, Wheel
 
 
 class Defect(NamedTuple):
-    """What is wrong with a motor of a unit."""
+    """A defect of a unit's motor."""
 
     kind: str
     channel: int | None
-    """None: all of them."""
+    """Number of the channel; None: all channels."""
     value: float
-    """0 where the kind has none."""
+    """Parameter of the defect; 0 if the kind has none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Axis:
-    """How a motor turns its wheel."""
+    """Mechanical connection of a motor to its wheel."""
 
     wheel: Wheel
     gear_ratio: float = 1.0
     inverted: bool = False
     full_duty_rad_s: float = 15.0
-    """Wheel speed at full duty, of drives whose set-point is a duty."""
+    """Wheel speed at full duty, for drives whose set-point is a duty."""
     counts_per_turn: int = 0
-    """Of this motor; 0: the profile's."""
+    """Counts for one turn of this motor; 0: the profile's value."""
 
     @property
     def sign(self) -> float:
@@ -52,22 +52,22 @@ class Axis:
 
 @dataclass(slots=True)
 class Motor:
-    """A channel at run time."""
+    """A motor channel at run time."""
 
     channel: Channel
     axis: Axis
     encoder: Encoder | None
     counter_start: int = 0
     absolute: bool = False
-    """Its counter means the same after each power-up."""
+    """Whether the counter means the same after each power-up."""
     faults: list[FaultBit] = field(default_factory=list)
     switched_on: bool = False
     braking: bool = False
     sent_raw: int | None = 0
-    """The set-point in force, if one counts only with a register beside it; None: no position since
-    it got its power."""
+    """Set-point in force, if one counts only with another register; None: no position since the
+    motor got its power."""
     defects: Mapping[str, float] = field(default_factory=dict)
-    """Its present defects: `FaultScript.defects`."""
+    """Present defects: kind → value. See `FaultScript.defects`."""
     _frozen: int = 0
     _turned_at_rad: float = 0.0
     _forward: bool = False
@@ -78,7 +78,7 @@ class Motor:
 
     @property
     def count(self) -> int | None:
-        """The position counter as it is now; None: it has none."""
+        """Present value of the position counter; None: there is no counter."""
         if self.encoder is None:
             return None
         if "frozen-counter" in self.defects or "unplugged-encoder" in self.defects:
@@ -87,7 +87,7 @@ class Motor:
 
     @property
     def shown_rad_s(self) -> float:
-        """The velocity that it reports."""
+        """Velocity that the motor reports."""
         if "false-velocity" in self.defects:
             self._forward = not self._forward
             return self.defects["false-velocity"] * (1.0 if self._forward else -1.0)
@@ -97,14 +97,14 @@ class Motor:
 
     @property
     def _shaft_rad(self) -> float:
-        """As its encoder sees it."""
+        """Shaft angle as the encoder measures it."""
         shaft_rad = self.axis.shaft_rad
         if "turned-encoder" in self.defects:
             return 2.0 * self._turned_at_rad - shaft_rad
         return shaft_rad
 
     def suffer(self, defects: Mapping[str, float]) -> None:
-        """From now on it has these defects and no others."""
+        """Replace the present defects with these."""
         self._frozen = self.count or 0
         if "turned-encoder" not in self.defects:
             self._turned_at_rad = self.axis.shaft_rad
@@ -116,13 +116,13 @@ class Motor:
             self.encoder.restart(self.axis.shaft_rad, self.counter_start)
 
     def start_at(self, count: int) -> None:
-        """Let the counter start there, now and at each power-up."""
+        """Start the counter at `count`, now and at each power-up."""
         if self.encoder is not None:
             self.counter_start = count & self.encoder.mask
             self.restart_counter()
 
     def start_near_wrap(self, profile: DriveProfile) -> None:
-        """Let the counter start where a quarter turn forward wraps it."""
+        """Start the counter so that a quarter turn forward wraps it."""
         if self.encoder is None:
             return
         register = profile.registers[self.channel.position or ""]
@@ -138,7 +138,7 @@ def new_motor(profile: DriveProfile, number: int, axis: Axis) -> Motor:
     encoder = None
     if profile.counter_bits:
         counts_per_turn = axis.counts_per_turn or profile.counts_per_turn
-        # an absolute one shows the middle of its turn where its joint is at rest
+        # an absolute encoder shows the middle of its turn where its joint is at rest
         middle = counts_per_turn // 2 if profile.absolute else 0
         encoder = Encoder(counts_per_turn, profile.counter_bits, middle)
     return Motor(profile.channels[number], axis, encoder, absolute=profile.absolute)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The control socket of the simulator: read the truth, inject faults."""
+"""Client of the simulator's control socket: reads the truth, injects faults."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ class RobotTruth:
     """The robot's true motion since the start or the last reset_truth."""
 
     time_s: float
-    """On the simulator's clock."""
+    """Time on the simulator's clock."""
     x_m: float
     y_m: float
     heading_rad: float
-    """−π to π."""
+    """Heading from −π to π."""
     distance_m: float
     turned_rad: float
     moved_max_m_s: float
-    """The fastest wheel at its rim."""
+    """Greatest speed of a wheel at its rim."""
     at_rest: bool
-    """All wheels, now."""
+    """Whether all wheels are at rest now."""
     rest_since_s: float
-    """For how long."""
+    """Time for which all wheels have been at rest."""
     joints: dict[str, JointTruth]
 
 
@@ -74,7 +74,7 @@ class SimControl:
         self._socket.close()
 
     def call(self, method: str, **params: Any) -> Any:
-        """One request, its result."""
+        """Send one request and return its result. Raises ControlError."""
         try:
             line = json.dumps({"method": method, "params": params})
             self._socket.sendall(line.encode() + b"\n")
@@ -95,38 +95,38 @@ class SimControl:
         return line
 
     def truth(self) -> RobotTruth:
-        """The robot's true motion, and its wheels' state now."""
+        """Return the robot's true motion, and its wheels' state now."""
         result = self.call("truth")
         joints = {name: JointTruth(**joint) for name, joint in result.pop("joints").items()}
         return RobotTruth(**result, joints=joints)
 
     def stats(self) -> dict[str, Any]:
-        """Counters of lines, units and faults."""
+        """Return counters of lines, units and faults."""
         result: dict[str, Any] = self.call("stats")
         return result
 
     def journal(self, line: str, unit: int, since: int = 0) -> list[dict[str, Any]]:
-        """What a unit of a tagged robot has really answered, from this entry on, at most 1000
-        entries: number, monotonic_ns, function, address, words."""
+        """Return what a unit of a tagged robot has really answered, from entry `since` on, at most
+        1000 entries: number, monotonic_ns, function, address, words."""
         result: list[dict[str, Any]] = self.call("journal", line=line, unit=unit, since=since)
         return result
 
     def reset_truth(self) -> None:
-        """The pose to the origin, distance, turn and fastest wheel to zero."""
+        """Set the pose to the origin, and distance, turn and fastest wheel to zero."""
         self.call("reset_truth")
 
     def inject(self, spec: str) -> None:
-        """Add a fault to the script; its times count from now."""
+        """Add a fault to the script. Its times count from now."""
         self.call("inject", spec=spec)
 
     def clear_faults_script(self) -> None:
-        """End all faults; a fault that a drive has latched stays latched."""
+        """End all faults. A fault that a drive has latched stays latched."""
         self.call("clear_faults_script")
 
     def pull(self, line: str | None = None) -> None:
-        """Unplug a line's adapter, or all."""
+        """Unplug the adapter of a line; None: of all lines."""
         self.call("pull", line=line)
 
     def plug(self, line: str | None = None) -> None:
-        """Plug it in again; the device file has another number then."""
+        """Plug the adapter in again. The device file then has another number."""
         self.call("plug", line=line)

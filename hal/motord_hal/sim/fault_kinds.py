@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kinds of faults and their keys: the lines of a fault script.
+"""The kinds of faults and their keys: the syntax of a line of a fault script.
 
 KIND[:KEY=VALUE,...]        described in docs/simulator.md
 """
@@ -31,7 +31,8 @@ class Key:
 @dataclass(frozen=True, slots=True)
 class Kind:
     happens: str
-    """"reply": to replies, by p or nth; "state": for a time; "once": at a time."""
+    """When the fault happens: "reply": to replies, by p or nth; "state": for a time; "once": at a
+    time."""
     text: str
     keys: Mapping[str, Key]
 
@@ -39,7 +40,7 @@ class Kind:
 _UNIT = Key(0, NODE_MAX, whole=True)
 """A Modbus address, or a node of a CAN bus."""
 _CHANNEL = Key(1, 8, whole=True)
-"""Which motor of the unit; all of them if it is not given."""
+"""Number of the unit's motor. If it is not given: all motors."""
 _TIME_S = Key(0.0, 1e6)
 _SPAN = {"from_s": _TIME_S, "for_s": _TIME_S}
 _WHEN = {"unit": _UNIT, **_SPAN}
@@ -168,7 +169,7 @@ KINDS = MappingProxyType(
 
 
 def list_kinds() -> dict[str, Any]:
-    """All kinds as plain values, for programs that make up scripts."""
+    """Return all kinds as plain values, for programs that make up scripts."""
     return {
         name: {
             "happens": kind.happens,
@@ -189,7 +190,7 @@ def list_kinds() -> dict[str, Any]:
 
 
 def parse_fault(text: str) -> tuple[str, dict[str, float]]:
-    """Kind and values of one entry, defaults filled in. Raises FaultError."""
+    """Return kind and values of one entry, with defaults filled in. Raises FaultError."""
     kind, _, rest = text.strip().partition(":")
     if kind not in KINDS:
         raise FaultError(f'"{text}": no fault "{kind}"{_hint(kind, KINDS)}')

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A script of faults of the wire and the drives, with their times. The same seed and the same
-requests give the same faults. The kinds are in `fault_kinds`.
+requests give the same faults. `fault_kinds` has the kinds.
 
-A fault of replies happens to every one, or with `p=` to this part of them, or with `nth=` to each
-nth one; `unit=` keeps it to one drive, `from_s=` and `for_s=` to a time.
+A fault of replies happens to every reply, or with `p=` to this part of them, or with `nth=` to each
+nth one. `unit=` limits it to one drive, `from_s=` and `for_s=` to a time.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class Fault:
     starts_s: float
     random: random.Random
     seen: int = 0
-    """Replies to which it could have happened."""
+    """Number of replies to which the fault could have happened."""
     fired: int = 0
     waits_until_s: float = 0.0
-    """Of babble: the time of its next bytes."""
+    """For the kind "babble": time of the next bytes."""
 
     @property
     def once(self) -> bool:
@@ -45,23 +45,23 @@ class Fault:
 
     @property
     def of_drive(self) -> tuple[int, int | None, int | None]:
-        """Channel, bit and code of a drive's fault."""
+        """Channel, bit and code of a drive's fault; None: not given."""
         values = self.values
         return int(values["channel"]), _whole(values.get("bit")), _whole(values.get("code"))
 
     def over(self, now_s: float) -> bool:
-        """Whether it has no further effect."""
+        """Whether the fault has no further effect."""
         if self.once:
             return self.fired > 0
         return now_s >= self.starts_s + self.values.get("for_s", math.inf)
 
     def matches(self, unit: int | None, now_s: float) -> bool:
-        """Whether it applies to this unit (None: the line itself) now."""
+        """Whether the fault applies now to this unit; None: to the line itself."""
         ends_s = self.starts_s + self.values.get("for_s", math.inf)
         return self.values.get("unit", unit) == unit and self.starts_s <= now_s < ends_s
 
     def strikes(self, unit: int, now_s: float) -> bool:
-        """Whether it happens to this reply."""
+        """Whether the fault happens to this reply. The call counts the reply."""
         if not self.matches(unit, now_s):
             return False
         self.seen += 1
@@ -75,17 +75,17 @@ class Fault:
 
 @dataclass(slots=True)
 class Spoiled:
-    """How a reply is changed."""
+    """A reply, and its changes by faults."""
 
     frame: bytes
     delay_s: float = 0.0
     held: bool = False
-    """Kept back until the next request has come: a late reply, which is not the answer to that
-    request."""
+    """Whether the reply is kept back until the next request has come. It is then a late reply, and
+    not the answer to that request."""
     deafening_s: float = 0.0
-    """How long the adapter drives the wire itself after the request's end."""
+    """Time after the request's end for which the adapter still drives the wire."""
     segments_s: float = 0.0
-    """TCP: this long between the pieces of the reply."""
+    """For TCP: time between the pieces of the reply."""
 
 
 @dataclass(slots=True)
@@ -97,7 +97,7 @@ class FaultScript:
     _added: int = 0
 
     def add(self, text: str, now_s: float = 0.0) -> Fault:
-        """Add an entry; its times count from now_s. Ended entries are removed, so that a long run
+        """Add an entry. Its times count from `now_s`. Ended entries are removed, so that a long run
         stays fast. Raises FaultError."""
         kind, values = parse_fault(text)
         self._forget(fault for fault in self.faults if fault.over(now_s))
@@ -117,21 +117,21 @@ class FaultScript:
             self.faults.remove(fault)
 
     def due(self, now_s: float) -> Iterable[Fault]:
-        """Entries that happen once and are due."""
+        """Yield the entries that happen once and are due."""
         for fault in self.faults:
             if fault.once and not fault.fired and now_s >= fault.starts_s:
                 fault.fired = 1
                 yield fault
 
     def states(self, kind: str, unit: int | None, now_s: float) -> Iterator[Fault]:
-        """Active entries of a kind, for a unit or (None) for the line; the call counts them."""
+        """Yield the active entries of a kind, for a unit or (None) for the line, and count them."""
         for fault in self.faults:
             if fault.kind == kind and fault.matches(unit, now_s):
                 fault.fired += 1
                 yield fault
 
     def defects(self, unit: int, now_s: float) -> tuple[Defect, ...]:
-        """The present defects of this unit's motors."""
+        """Return the present defects of this unit's motors."""
         if not self.faults:
             return ()
         return tuple(
@@ -145,21 +145,21 @@ class FaultScript:
         return any(True for _ in self.states("silence", unit, now_s))
 
     def turnaround_s(self, unit: int, now_s: float) -> float | None:
-        """How long this unit takes to answer; None: the profile's time."""
+        """Return the time that this unit takes to answer; None: the profile's time."""
         for fault in self.states("turnaround", unit, now_s):
             spread_ms = fault.random.uniform(0.0, fault.values["spread_ms"])
             return (fault.values["ms"] + spread_ms) / 1000.0
         return None
 
     def flash(self, unit: int, now_s: float) -> Fault | None:
-        """The slow-flash that this write of a setting meets."""
+        """Return the slow-flash fault that happens to this write of a setting, or None."""
         for fault in self.faults:
             if fault.kind == "slow-flash" and fault.strikes(unit, now_s):
                 return fault
         return None
 
     def spoil(self, unit: int, frame: bytes, framing: Rewriting, now_s: float) -> Spoiled:
-        """A good reply as it goes on the wire; a dropped one is empty."""
+        """Return a good reply as it goes on the wire. A dropped one is empty."""
         spoiled = Spoiled(frame)
         for fault in self.faults:
             on_replies = KINDS[fault.kind].happens == "reply" and fault.kind != "slow-flash"

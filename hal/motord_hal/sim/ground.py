@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How wheels and ground move a base: the motion that fits best what the rims do."""
+"""How wheels and ground move a base: the motion that fits best the travel of the rims."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 Row = tuple[float, float, float]
-"""The parts of a speed at the ground: of a motion forward, to the left and about."""
+"""Shares of a speed at the ground in a motion forward, one to the left and a turn."""
 
 
 class LeastSquares:
-    """Gram-Schmidt on the columns of the rows (Golub & Van Loan, Matrix Computations, 5.2.7), then
-    back substitution."""
+    """Least squares by Gram-Schmidt on the columns of the rows (Golub & Van Loan, Matrix
+    Computations, 5.2.7) and back substitution."""
 
     def __init__(self, rows: Sequence[Row]) -> None:
-        """Raises ValueError where the rows do not determine the motion."""
+        """Set the rows up. Raises ValueError if they do not determine the motion."""
         self._q: list[list[float]] = []
         self._r = [[0.0] * 3 for _ in range(3)]
         for k in range(3):
@@ -31,7 +31,8 @@ class LeastSquares:
             self._q.append([c / length for c in column])
 
     def motion(self, values: Sequence[float]) -> Row:
-        """Forward and to the left in m, about in rad."""
+        """Return the motion that fits these values best: forward and to the left in m, turn in
+        rad."""
         found = [0.0, 0.0, 0.0]
         for i in (2, 1, 0):
             later = sum(self._r[i][k] * found[k] for k in range(i + 1, 3))
@@ -45,24 +46,24 @@ def _dot(a: Sequence[float], b: Sequence[float]) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Module:
-    """A wheel of a base with steered wheels, and the joints that turn it."""
+    """A wheel of a base with steered wheels, and the joints that steer and drive it."""
 
     x_m: float
     y_m: float
     steering: str = ""
-    """Its joint's angle is where the wheel points to; without one it points straight ahead."""
+    """Joint whose angle is the wheel's direction; "": the wheel points straight ahead."""
     traction: str = ""
-    """Without one it rolls freely."""
+    """Joint that drives the wheel; "": the wheel rolls freely."""
 
 
 class SteeredGround:
-    """Wheels that roll where they point to and do not slide across: the rolling and the sliding
+    """Wheels that roll in their direction and do not slide across it: the rolling and the sliding
     constraint of each (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). Contradictions
     between them are slip."""
 
     def __init__(self, modules: Sequence[Module], angle_rad: Callable[[str], float]) -> None:
-        """`angle_rad`: of a joint. Raises ValueError where the wheels do not determine the
-        motion."""
+        """Set the wheels up. `angle_rad` returns a joint's angle. Raises ValueError if the wheels
+        do not determine the motion."""
         self._modules = tuple(modules)
         self._angle_rad = angle_rad
         self._steering = tuple({module.steering for module in modules if module.steering})
@@ -70,7 +71,7 @@ class SteeredGround:
         self._fit = self._fitted()
 
     def motion(self, rims_m: Callable[[str], float]) -> Row:
-        """By the travel of each joint's rim."""
+        """Return the base's motion. `rims_m` returns the travel of a joint's rim."""
         if self._angles != tuple(map(self._angle_rad, self._steering)):
             self._fit = self._fitted()
         values = []

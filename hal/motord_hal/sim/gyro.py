@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated inertial sensor on the base: it measures the plant's motion, with a zero-rate offset
-and white noise, as the cheap chips have them (data sheet of the MPU-6050, 6.1: 0.005 °/s/√Hz, and
+"""A simulated inertial sensor on the base. It measures the plant's motion, with a zero-rate offset
+and white noise like those of the cheap chips (data sheet of the MPU-6050, 6.1: 0.005 °/s/√Hz, and
 up to 20 °/s of offset)."""
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ ACCELERATION_NOISE_M_S2 = 0.02
 
 
 class SimulatedGyro:
-    """One sensor. The same seed, the same offset and noise."""
+    """One sensor. The same seed gives the same offset and noise."""
 
     def __init__(self, plant: Plant, mounting: Mounting, seed: int, *, scale: float = 1.0) -> None:
-        """`scale`: measured over true rate; of these chips it is within 3 % of 1 (data sheet of
-        the MPU-6050, 6.1)."""
+        """Set the sensor up. `scale` is measured over true rate; these chips are within 3 % of 1
+        (data sheet of the MPU-6050, 6.1)."""
         self._plant = plant
         self._mounting = mounting
         self._scale = scale
@@ -36,7 +36,7 @@ class SimulatedGyro:
         self._before_s, self._before_rad = plant.time_s, plant.yaw_rad
 
     def measure(self) -> BoardImu:
-        """The mean rates since the last call, about the sensor's axes."""
+        """Return the mean rates since the last call, about the sensor's axes."""
         elapsed_s = max(self._plant.time_s - self._before_s, 1e-3)
         yaw_rad_s = (self._plant.yaw_rad - self._before_rad) / elapsed_s
         self._before_s, self._before_rad = self._plant.time_s, self._plant.yaw_rad

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a drive has really sent: the ground truth to prove that no value came from a frame that did
-not answer its request."""
+"""Journal of a drive's real answers: the ground truth to prove that no value came from a frame that
+did not answer its request."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from dataclasses import dataclass, field
 from typing import Any
 
 ENTRIES_KEPT = 50_000
-"""The oldest are dropped first."""
+"""Limit of the journal. The oldest entries are dropped first."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
     number: int
-    """Of this drive's answers with values, from 0."""
+    """Number among this drive's answers with values, from 0."""
     time_s: float
-    """When the request was over, on the rig's clock."""
+    """Time when the request was over, on the rig's clock."""
     function: int
     """Modbus function or DDSM command."""
     address: int
     words: tuple[int, ...]
-    """The registers from `address` on; of a DDSM reply, its bytes."""
+    """Registers from `address` on; for a DDSM reply, its bytes."""
 
 
 @dataclass(slots=True)
 class Journal:
-    """Kept only while `kept`: it costs memory."""
+    """Answers of one drive. Entries are kept only if `kept`: they cost memory."""
 
     kept: bool = False
     _entries: deque[Entry] = field(default_factory=lambda: deque(maxlen=ENTRIES_KEPT))
@@ -40,8 +40,8 @@ class Journal:
             self._number += 1
 
     def since(self, number: int, began_ns: int, at_most: int) -> list[dict[str, Any]]:
-        """The entries from this number on, as plain values; `began_ns` is the rig's zero on
-        CLOCK_MONOTONIC."""
+        """Return the entries from `number` on as plain values, at most `at_most`. `began_ns` is the
+        rig's zero on CLOCK_MONOTONIC."""
         chosen = [entry for entry in self._entries if entry.number >= number][:at_most]
         return [
             {

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The physics: wheels with mass, friction and a drive's speed loop, and the ground under them.
 
-Pure: no clock, only `step(dt_s)` in fixed sub-steps. All values are at the wheel, so the gear is in
-them (inertia and torque reflected through it: Lynch & Park, Modern Robotics, 2017, 8.9.2).
+Pure: no clock, only `step(dt_s)` in fixed sub-steps. All values are at the wheel, so they include
+the gear (inertia and torque reflected through it: Lynch & Park, Modern Robotics, 2017, 8.9.2).
 
 Motor:      J dw/dt = torque − viscous·w − coulomb·sign(w)          (Modern Robotics, 8.9.1)
 Speed loop: PI with feed-forward of its own ramp (Åström & Murray, Feedback Systems, 11.3)
@@ -27,18 +27,20 @@ SUBSTEP_S = 0.001
 AMBIENT_C = 25.0
 THERMAL_TIME_S = 300.0
 HEATING_C_S_A2 = 0.002
-"""A winding of about 60 °C above ambient at a steady 10 A, as small hub motors are rated."""
+"""Heating of a winding to about 60 °C above ambient at a steady 10 A, as small hub motors are
+rated."""
 STANDSTILL_RAD_S = 0.02
-"""Slower than this with a set-point of zero, the speed loop drops its integral, which would balance
-the friction and creep for ever."""
+"""Speed below which, with a set-point of zero, the speed loop drops its integral, which would
+balance the friction and creep for ever."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WheelModel:
-    """One wheel with its share of the robot: a hub motor of a base of about 20 kg."""
+    """One wheel with its share of the robot. The defaults are a hub motor of a base of about 20
+    kg."""
 
     inertia_kg_m2: float = 0.07
-    """Half the base's mass at a radius of 8 cm, with the rotor."""
+    """Inertia of half the base's mass at a radius of 8 cm, with the rotor."""
     viscous_n_m_s_rad: float = 0.02
     coulomb_n_m: float = 0.3
     torque_max_n_m: float = 8.0
@@ -47,7 +49,7 @@ class WheelModel:
     acceleration_rad_s2: float = 80.0
     """Slope of the drive's own ramp between set-points."""
     deceleration_rad_s2: float = 40.0
-    """Slope of its quick stop, also of the one that its watchdog makes."""
+    """Slope of the drive's quick stop, also of the one by its watchdog."""
     loop_time_s: float = 0.02
     """Time constant of the speed loop's proportional part."""
     integral_time_s: float = 0.1
@@ -67,7 +69,7 @@ def _finite(name: str, value: float) -> float:
 
 
 class Wheel:
-    """One motor with its wheel. Starts at rest, without power."""
+    """One motor with its wheel. It starts at rest, without power."""
 
     def __init__(self, model: WheelModel) -> None:
         self.model = model
@@ -84,33 +86,34 @@ class Wheel:
         self._full_duty_rad_s = 1.0
         self._asked_n_m = 0.0
         self.blocked = False
-        """It cannot turn."""
+        """Whether the wheel cannot turn."""
 
     @property
     def current_a(self) -> float:
         return self.torque_n_m / self.model.torque_n_m_a
 
     def coast(self) -> None:
-        """No power: friction alone."""
+        """Remove the power: only friction acts."""
         self._power = _Power.OFF
 
     def turn(self, velocity_rad_s: float) -> None:
-        """Speed loop towards this. NaN and infinity: ValueError."""
+        """Run the speed loop towards this velocity. Raises ValueError for NaN and infinity."""
         self._regulate(_finite("velocity", velocity_rad_s), self.model.acceleration_rad_s2)
 
     def brake(self) -> None:
-        """Quick stop: speed loop to zero along the drive's deceleration, then held."""
+        """Do a quick stop: run the speed loop to zero along the drive's deceleration, then hold."""
         self._regulate(0.0, self.model.deceleration_rad_s2)
 
     def push(self, duty: float, full_duty_rad_s: float) -> None:
-        """Open loop: this part (−1 to 1) of the voltage that turns the free wheel at
-        `full_duty_rad_s`. NaN and infinity: ValueError."""
+        """Run open loop with this part (−1 to 1) of the voltage that turns the free wheel at
+        `full_duty_rad_s`. Raises ValueError for NaN and infinity."""
         self._duty = max(-1.0, min(1.0, _finite("duty", duty)))
         self._full_duty_rad_s = _finite("full duty", full_duty_rad_s)
         self._power = _Power.DUTY
 
     def drive(self, torque_n_m: float) -> None:
-        """Current loop: this torque at the wheel. NaN and infinity: ValueError."""
+        """Run the current loop with this torque at the wheel. Raises ValueError for NaN and
+        infinity."""
         self._asked_n_m = _finite("torque", torque_n_m)
         self._power = _Power.TORQUE
 
@@ -169,34 +172,34 @@ class Wheel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contact:
-    """Where a wheel meets the ground."""
+    """Contact of a wheel with the ground."""
 
     side: str
     """"left" | "right"."""
     wheel_radius_m: float
     row: tuple[float, float, float] | None = None
-    """The parts of the rim's speed: of a motion forward, to the left and about, of a base that
+    """Shares of a base's motion forward, to the left and about in the rim's speed, for a base that
     moves sideways. None: a wheel of a base with two sides."""
 
 
 @dataclass(slots=True)
 class Truth:
-    """What the base really did."""
+    """True motion of the base."""
 
     x_m: float = 0.0
     y_m: float = 0.0
     heading_rad: float = 0.0
-    """−π to π."""
+    """Heading from −π to π."""
     distance_m: float = 0.0
     turned_rad: float = 0.0
     moved_max_m_s: float = 0.0
-    """Fastest wheel so far, at its rim."""
+    """Greatest speed of a wheel so far, at its rim."""
 
 
 class Plant:
     """All wheels, and the base that rolls on those with a contact: two sides, as differential and
     skid-steered bases have (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2), wheels with
-    rollers, or steered ones; the pose by the exact arc of each sub-step."""
+    rollers, or steered ones. The pose follows the exact arc of each sub-step."""
 
     def __init__(
         self,
@@ -208,7 +211,7 @@ class Plant:
         slip_variance_m2_per_m: float = 0.0,
         seed: int = 0,
     ) -> None:
-        """`modules`: of a base with steered wheels, whose contacts are those of its joints."""
+        """Set the plant up. `modules` are the wheels of a base with steered wheels."""
         if not (math.isfinite(track_m) and track_m > 0.0):
             raise ValueError(f"track {track_m} m: must be positive")
         strafing = all(contact.row is not None for contact in contacts.values())
@@ -235,9 +238,9 @@ class Plant:
         self.truth = Truth()
         self.time_s = 0.0
         self.rest_s = 0.0
-        """How long all wheels have stood still."""
+        """Time for which all wheels have stood still."""
         self.yaw_rad = 0.0
-        """Turned to the left since the start; no reset, no wrap."""
+        """Angle turned to the left since the start, without reset or wrap."""
         self.slipping: dict[str, float] = {}
         """Side → part of its wheels' travel that is lost on the ground."""
         self._due_s = 0.0
@@ -250,8 +253,8 @@ class Plant:
         self.truth = Truth()
 
     def step(self, dt_s: float) -> None:
-        """Go on by dt_s, in sub-steps; a remainder waits for the next call. NaN, infinity,
-        negative: ValueError."""
+        """Advance by `dt_s`, in sub-steps. A remainder waits for the next call. Raises ValueError
+        for NaN, infinity and negative times."""
         if not (math.isfinite(dt_s) and dt_s >= 0.0):
             raise ValueError(f"time step {dt_s} s")
         self._due_s += dt_s
@@ -260,7 +263,7 @@ class Plant:
             self.substep()
 
     def substep(self) -> None:
-        """Go on by SUBSTEP_S."""
+        """Advance by SUBSTEP_S."""
         self.time_s += SUBSTEP_S
         for wheel in self._all:
             wheel.substep(SUBSTEP_S)
@@ -310,12 +313,13 @@ class Plant:
         return rims_m
 
     def _follow_best(self, motion: tuple[float, float, float]) -> None:
-        """The motion that fits all rims best; the rest is slip."""
+        """Apply the motion that fits all rims best. The rest is slip."""
         forward_m, left_m, turn_rad = motion
         self._follow_arc(forward_m, turn_rad, left_m)
 
     def _follow_arc(self, forward_m: float, turn_rad: float, left_m: float = 0.0) -> None:
-        """The chord of an arc: length · sin(turn/2)/(turn/2), in the direction of half the turn."""
+        """Move along the chord of an arc: length · sin(turn/2)/(turn/2), in the direction of half
+        the turn."""
         half = turn_rad / 2.0
         chord = math.sin(half) / half if half else 1.0
         truth = self.truth
@@ -342,6 +346,6 @@ class Encoder:
         return (self._start + turned) & self.mask
 
     def restart(self, shaft_rad: float, start: int) -> None:
-        """Power came back: the counter is at `start` where the shaft stands now."""
+        """Set the counter to `start` at the shaft's present angle, when power comes back."""
         self._origin_rad = shaft_rad
         self._start = start

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The position loop of a simulated drive: it goes to its target with a finite speed, and slows down
-along a finite deceleration before it (the time-optimal approach: Lynch & Park, Modern Robotics,
-2017, 9.4)."""
+"""The position loop of a simulated drive. It goes to its target with a limited speed, and slows
+down with a limited deceleration before it (the time-optimal approach: Lynch & Park, Modern
+Robotics, 2017, 9.4)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from motord_hal.sim.axis import Motor
 SPEED_RAD_S = 8.0
 DECELERATION_RAD_S2 = 40.0
 GAIN_PER_S = 20.0
-"""Near the target the speed is so many times the distance; all at the wheel."""
+"""Speed over distance near the target. All three constants are at the wheel."""
 
 
 def approach_rad_s(profile: DriveProfile, motor: Motor, goal_raw: int) -> float:
-    """Speed of the wheel towards the target, which stands in the unit of the position."""
+    """Return the wheel's speed towards the target, which is in the unit of the position."""
     counts_per_turn = motor.axis.counts_per_turn or profile.counts_per_turn
     target = profile.registers[motor.channel.setpoint]
     goal = target.to_si(goal_raw)
@@ -33,7 +33,7 @@ def approach_rad_s(profile: DriveProfile, motor: Motor, goal_raw: int) -> float:
 
 
 def _count(profile: DriveProfile, motor: Motor) -> int:
-    """The motor's counter, signed if it fills a signed register."""
+    """Return the motor's counter, signed if it fills a signed register."""
     count, bits = motor.count or 0, profile.counter_bits
     position = profile.registers[motor.channel.position or ""]
     signed = position.type.signed and position.type.bits == bits

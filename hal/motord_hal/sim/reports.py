@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a simulated drive reports: the registers whose values come from its motors."""
+"""The reports of a simulated drive: registers whose values come from its motors."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from motord_hal.sim.axis import Motor
 from motord_hal.sim.rs485.registers import Registers, raw_of
 
 SUPPLY_V = 24.0
-"""Of drives whose profile gives no default for the bus voltage."""
+"""Supply of drives whose profile gives no default for the bus voltage."""
 SUPPLY_OHM = 0.1
-"""A lead-acid pair with its wiring: the voltage sags by this much for each ampere."""
+"""Resistance of a lead-acid pair with its wiring: the voltage drops by this much for each
+ampere."""
 
 
 class Reports:
-    """Binds the live registers of one drive."""
+    """Connection of the live registers of one drive to its motors."""
 
     def __init__(
         self,
@@ -60,7 +61,7 @@ class Reports:
             self._registers.make_live(name, lambda: self._signed(name, motor.count or 0))
 
     def _turned_rad(self, count: int) -> float:
-        """The counter as an angle, for a drive that reports its position in turns."""
+        """Return the counter as an angle, for a drive that reports its position in turns."""
         half = 1 << (self._profile.counter_bits - 1)
         return ((count + half) % (2 * half) - half) / self._profile.counts_per_turn * math.tau
 
@@ -80,14 +81,14 @@ class Reports:
 
     # -------------------------------------------------------------------------------- status words
     def _watched(self) -> set[str | None]:
-        """The registers that show whether a sequence is complete."""
+        """Return the registers that show whether a sequence is complete."""
         steps = (step for steps, _ in self._ends() for step in steps)
         watched: set[str | None] = {step.register for step in steps if step.value is None}
         places = (self._profile.enabled, self._profile.homed)
         return watched | {place.register for place in places if place is not None}
 
     def _ends(self) -> list[tuple[tuple[Step, ...], bool]]:
-        """The sequences, and whether each one's result is in force."""
+        """Return the sequences, and whether each one's result is in force."""
         profile = self._profile
         enabled = [self._enabled(number) for number in self._motors]
         faultless = not any(motor.faults for motor in self._motors.values())
@@ -99,9 +100,9 @@ class Reports:
         ]
 
     def _status(self, name: str) -> int:
-        """A word that fulfils exactly the profile's conditions that are true. A register that is
-        also written (a control word that reads back what is in force) keeps the written bits if
-        they agree."""
+        """Return a word that fulfils exactly the profile's conditions that are true. A register
+        that is also written (a control word that reads back what is in force) keeps the written
+        bits if they agree."""
         word = self._registers.stored(name) % self._span(name)
         if any(motor.channel.fault == name for motor in self._motors.values()):
             word = self._faults(name)
@@ -131,7 +132,7 @@ class Reports:
 
 
 def _with_condition(word: int, mask: int, equals: int, *, true: bool) -> int:
-    """The nearest word for which (word & mask) == equals is true, or false."""
+    """Return the nearest word for which (word & mask) == equals is true, or false."""
     if true:
         return word & ~mask | equals
     if word & mask != equals:

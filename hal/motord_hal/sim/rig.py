@@ -2,7 +2,7 @@
 """A whole simulated robot: lines, drives, wheels and ground, a fault script, a control socket.
 
 Its behaviour depends only on the requests and on the time given to `work`, so a test may step the
-clock by hand. In real time: `runner`.
+clock by hand. `runner` runs it in real time.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedPins | 
 TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
 """Kinds of lines behind a gateway."""
 PUNCTUAL_KINDS = ("can", "pwm")
-"""Kinds of lines whose values count at the time at which they are read."""
+"""Kinds of lines whose values must be those of the time at which they are read."""
 OTHER_THAN_CAN = SimulatedLine | SimulatedBoard | SimulatedPins
 SIDES = ("left", "right")
-"""As the fault "slip" numbers them."""
+"""Sides in the order of the numbers in the fault "slip"."""
 REPLUG_RETRY_S = 0.1
 JOURNAL_REPLY_ENTRIES = 1000
-"""Most of one answer of the control socket; read on with `since`."""
+"""Greatest number of entries in one answer of the control socket. Read the rest with `since`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,57 +70,58 @@ class WheelSpec:
     """"left" | "right"."""
     wheel_radius_m: float
     row: tuple[float, float, float] | None = None
-    """As Contact's."""
+    """The same as `Contact.row`."""
     full_duty_rad_s: float = 15.0
-    """Wheel speed at full duty, of drives whose set-point is a duty."""
+    """Wheel speed at full duty, for drives whose set-point is a duty."""
     counts_per_turn: int = 0
-    """Of this motor's encoder; 0: the profile's."""
+    """Counts for one turn of this motor's encoder; 0: the profile's value."""
     rolls: bool = True
-    """False: it turns no wheel on the ground, it steers one."""
+    """Whether the joint turns a wheel on the ground; False: it steers one."""
     model: WheelModel = field(default_factory=WheelModel)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PortSpec:
-    """A TCP socket that a line is behind. Port 0: any free one."""
+    """A TCP socket in front of a line. Port 0: any free one."""
 
     host: str = "127.0.0.1"
     port: int = 0
     raw: bool = False
-    """True: RTU frames as they are; false: a Modbus TCP gateway."""
+    """True: RTU frames as they are; False: a Modbus TCP gateway."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigSpec:
     robot: str
     track_m: float
-    """Effective distance of the sides (skid: with the slip factor in it)."""
+    """Effective distance of the sides; skid-steered: including the slip factor."""
     lines: tuple[LineSpec, ...]
     wheels: Mapping[str, WheelSpec]
-    """By joint name."""
+    """Wheels by joint name."""
     modules: tuple[Module, ...] = ()
-    """Of a base with steered wheels."""
+    """Wheels of a base with steered wheels; empty: another base."""
     seed: int = 0
     faults: tuple[str, ...] = ()
     slip_variance_m2_per_m: float = 0.0
     watchdog_s: float = 0.0
-    """A watchdog for drives whose profile has none; 0: none, like the real drive."""
+    """Watchdog time for drives whose profile has no watchdog; 0: none, like the real drive."""
     gyro_scale: float = 1.0
     """Measured over true rate of turn."""
     ports: Mapping[str, PortSpec] = field(default_factory=dict)
-    """By line name; a line that is not named is a pseudo-terminal, or on any free TCP port of this
-    machine if its kind is TCP."""
+    """Sockets by line name. A line without one is a pseudo-terminal, or on any free TCP port of
+    this machine if its kind is TCP."""
     can: str = ""
-    """INTERFACE:CHANNEL of the robot's one CAN bus; empty: each is on UDP datagrams of its own."""
+    """INTERFACE:CHANNEL of the robot's one CAN bus; "": each line has its own on UDP datagrams."""
     units: int = 0
-    """At least this many drives on each line, from unit 1 on; the spare ones are as its first."""
+    """Least number of drives on each line, from unit 1 on. Spare ones are like its first drive."""
     tagged: bool = False
-    """Counters start at a number that identifies the unit, and answers are kept (Journal)."""
+    """Whether counters start at a number that identifies the unit, and answers are kept
+    (Journal)."""
 
 
 class Rig:
-    """Raises FaultError for an unknown fault, OSError for a path that cannot be used. Close
-    it, or use it as a context."""
+    """A simulated robot. Raises FaultError for an unknown fault, OSError for a path that cannot be
+    used. Close it, or use it as a context."""
 
     def __init__(
         self, spec: RigSpec, *, link_dir: Path | None = None, control: Path | None = None
@@ -139,7 +140,7 @@ class Rig:
         self._replug_s: dict[str, float] = {}
         self.began_ns = time.monotonic_ns()
         self.held_up_max_s = 0.0
-        """Longest time without a processor since reset_truth, as the runner found."""
+        """Longest time without a processor since reset_truth, as measured by the runner."""
         if spec.tagged:
             self._tag()
         for text in spec.faults:
@@ -191,7 +192,7 @@ class Rig:
         )
 
     def _profiles(self, line: LineSpec) -> dict[int, DriveProfile]:
-        """Profiles by unit: the robot's, and those of the spare units."""
+        """Return profiles by unit: the robot's, and those of the spare units."""
         spare = dict.fromkeys(range(1, self.spec.units + 1), line.joints[0].profile)
         return spare | {joint.unit: joint.profile for joint in line.joints}
 
@@ -218,7 +219,7 @@ class Rig:
         return SimulatedLine(line, drives, self.script, port)
 
     def _make_talks(self, line: LineSpec) -> dict[int, Talk]:
-        """Each board's protocol by its address; empty: no board is on this line."""
+        """Return each board's protocol by its address; empty: no board is on this line."""
         units = {joint.unit: joint.profile for joint in line.joints}
         talks = {unit: self._make_talk(line, unit, profile) for unit, profile in units.items()}
         return {unit: talk for unit, talk in talks.items() if talk is not None}
@@ -235,7 +236,7 @@ class Rig:
         return None
 
     def _watchdog_s(self, profile: DriveProfile) -> float:
-        """The time of a watchdog that cannot be set; 0: no such watchdog."""
+        """Return the time of a watchdog that cannot be set; 0: no such watchdog."""
         return 0.0 if profile.watchdog else self.spec.watchdog_s or profile.watchdog_fixed_s
 
     def _make_gyro(self, line: LineSpec) -> SimulatedGyro | None:
@@ -252,9 +253,9 @@ class Rig:
         from motord_hal.sim.can.port import BusSettings, CanPort, free_address
 
         settings = BusSettings(line.baudrate, line.data_baudrate)
-        own = line.port if line.port.startswith("unix:") else ""  # it needs no hardware
+        own = line.port if line.port.startswith("unix:") else ""  # such a bus needs no hardware
         if not own and any(joint.profile.goes_to_positions for joint in line.joints):
-            own = f"unix:{link_dir / line.name}"  # the engine in C alone carries positions
+            own = f"unix:{link_dir / line.name}"  # only the engine in C supports positions
         port = CanPort(self.spec.can or own or free_address(), settings)
         return SimulatedCanLine(line, drives, self.script, port)
 
@@ -296,29 +297,29 @@ class Rig:
     # ------------------------------------------------------------------------------------- running
     @property
     def pauses(self) -> bool:
-        """Whether its time has to stand still while the process gets no CPU. A late frame is only
+        """Whether the time has to stand still while the process gets no CPU. A late frame is only
         late, but a counter that jumps is read on time, and no wheel turns so far."""
         return any(line.kind == "pwm" for line in self.spec.lines)
 
     def filenos(self, now_s: float) -> list[int]:
-        """What to wait for with select."""
+        """Return the descriptors to wait for with select."""
         ports = [fd for line in self.lines.values() for fd in line.port.filenos(now_s)]
         return [*ports, *self.server.filenos()]
 
     def due_s(self, now_s: float | None = None) -> float:
-        """Time of the next event without a request."""
+        """Return the time of the next event without a request."""
         at_s = self.plant.time_s if now_s is None else now_s
         return min((line.due_s(at_s) for line in self.lines.values()), default=math.inf)
 
     def work(self, now_s: float) -> None:
-        """Bring everything to now_s (since the start); time that goes backward does nothing."""
+        """Advance everything to `now_s` since the start; a time in the past does nothing."""
         while self.substep_due(now_s):
             self.substep()
         for line in self.lines.values():
             line.work(now_s)
 
     def work_lines(self, clock: Clock) -> None:
-        """Serve only the wires, on a clock that goes on meanwhile. CAN frames carry the time at
+        """Serve only the wires, by a clock that continues meanwhile. CAN frames carry the time at
         which they went out, and counters that of the reading, so their content has to be of that
         time."""
         while self._punctual and self.substep_due(clock()):
@@ -330,7 +331,7 @@ class Rig:
         return self.plant.time_s + SUBSTEP_S <= now_s
 
     def substep(self) -> None:
-        """One step of the physics, of the drives' clocks and of the script."""
+        """Advance the physics, the drives' clocks and the script by one step."""
         if self.script.faults or self.plant.slipping:
             self.plant.slipping = {
                 SIDES[int(fault.values["side"])]: fault.values["part"]
@@ -351,7 +352,7 @@ class Rig:
             self._replug(name, now_s)
 
     def _replug(self, name: str, now_s: float) -> None:
-        """Plug it in, or try again later: its old TCP port may be in use for a while."""
+        """Plug the line in, or try again later: its old TCP port may be in use for a while."""
         try:
             self.lines[name].plug()
         except OSError:
@@ -361,8 +362,8 @@ class Rig:
 
     # -------------------------------------------------------------------------------------- faults
     def inject(self, text: str) -> None:
-        """Add a fault to the script, its times counted from now; a fault that is due now has
-        happened when this returns. Raises FaultError."""
+        """Add a fault to the script. Its times count from now. A fault that is due now has happened
+        when this returns. Raises FaultError."""
         self._add(text)
         self._do_due(self.plant.time_s)
 
@@ -410,7 +411,7 @@ class Rig:
                     drive.start_near_wrap()
 
     def pull(self, line: str | None = None) -> None:
-        """Pull the plug of one line, or of all."""
+        """Pull the plug of one line, or of all lines."""
         for name in [line] if line else list(self.lines):
             self._line(name).pull()
 
@@ -460,7 +461,7 @@ class Rig:
         }
 
     def journal(self, line: str, unit: int, since: int) -> list[dict[str, Any]]:
-        """The real answers of a unit, from this entry on; only of a tagged rig."""
+        """Return the real answers of a unit from entry `since` on. Only a tagged rig keeps them."""
         drives = self._line(line).drives
         if unit not in drives:
             raise ValueError(f"no unit {unit} on {line}")
@@ -484,7 +485,7 @@ class Rig:
 def new_drive(
     profile: DriveProfile, unit: int, axes: Mapping[int, Axis], *, watchdog_s: float
 ) -> SimulatedDrive:
-    """The drive of this profile."""
+    """Return a new drive of this profile."""
     kind = Cia402Drive if speaks_cia402(profile) else SimulatedDrive
     kind = SimulatedBridge if profile.bridge is not None else kind
     kind = SimulatedServo if profile.protocol in SERVO_KINDS else kind
@@ -492,5 +493,5 @@ def new_drive(
 
 
 def _free_name(line: LineSpec, unit: int, channel: int) -> str:
-    """The wheel of a motor that no joint uses: it turns in the air."""
+    """Return the name of the wheel of a motor that no joint uses: it turns in the air."""
     return f"{line.name} unit {unit} channel {channel}"

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rig in real time: one thread in select(), which has microseconds where poll() and epoll have
-milliseconds.
+"""Runs a rig in real time, in one thread in select(), whose time-out has microseconds; that of
+poll() and epoll has milliseconds.
 
-What is due on a wire comes before the physics. With SCHED_FIFO and a spin over the last moment
-before something is due, the wire's pace is a wire's and not a scheduler's.
+Work that is due on a wire comes before the physics. With SCHED_FIFO, and a spin over the last
+moment before work is due, the pace is that of a wire and not that of a scheduler.
 """
 
 from __future__ import annotations
@@ -22,27 +22,28 @@ from motord_hal.sim.rig import Rig
 from motord_hal.sim.rs485.wire import Clock
 
 WAIT_MAX_S = 0.02
-"""Longest sleep: it limits how much physics is caught up at once."""
+"""Longest sleep. It limits how much physics is computed at once."""
 SPIN_S = 0.0001
-"""Longer than the wake-up of a SCHED_FIFO thread."""
+"""Time of spinning, longer than the wake-up of a SCHED_FIFO thread."""
 PHYSICS_SPARE_S = 0.0005
-"""The physics waits where something is due on a wire within this time."""
+"""The physics waits if work on a wire is due within this time."""
 PHYSICS_LAG_MAX_S = 0.01
-"""But at most this long."""
+"""Greatest time for which the physics waits."""
 HELD_UP_S = 0.002
-"""If the process got no CPU for longer than this, the time of a robot that pauses goes on by this
-much only: so in the 5 ms between two looks of a line, a wheel turns no farther than it can."""
+"""Limit for a process without CPU. After a longer time, the clock of a robot that pauses advances
+by this much only: so in the 5 ms between two looks of a line, a wheel turns no farther than it
+can."""
 NICE = -15
 PUNCTUAL = "\0motord-simulator-on-time"
-"""A socket of this name (unix(7), abstract) exists while a simulator has SCHED_FIFO."""
+"""Name of a socket (unix(7), abstract) that exists while a simulator has SCHED_FIFO."""
 TIMER_SLACK = Path("/proc/self/timerslack_ns")
 
 
 def set_pace(priority: int) -> None:
-    """For a process that does nothing else: wake-ups without slack (50 µs by default: prctl(2),
-    PR_SET_TIMERSLACK), SCHED_FIFO if a priority is given, else ahead of other programs where that
-    is allowed: a drive that is hardware does not wait for a CPU. Short collections of garbage.
-    Raises PermissionError where the priority is not allowed."""
+    """Set the pace of a process that does nothing else: wake-ups without slack (50 µs by default:
+    prctl(2), PR_SET_TIMERSLACK), and short garbage collections. With a priority it gets SCHED_FIFO,
+    else it goes ahead of other programs if that is allowed: hardware does not wait for a CPU.
+    Raises PermissionError if the priority is not allowed."""
     with contextlib.suppress(OSError):  # older kernels and sandboxes: the default slack stays
         TIMER_SLACK.write_text("1")
     if priority > 0:
@@ -56,8 +57,8 @@ def set_pace(priority: int) -> None:
 
 @contextlib.contextmanager
 def punctual() -> Iterator[bool]:
-    """Whether a simulator may have SCHED_FIFO meanwhile: it is allowed, a processor is left for
-    others, and no other simulator of this machine has it."""
+    """Yield whether a simulator may have SCHED_FIFO meanwhile: it is allowed, a processor is left
+    for others, and no other simulator of this machine has it."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as place:
         try:
             place.bind(PUNCTUAL)
@@ -90,8 +91,8 @@ def run(
     *,
     spin_s: float = 0.0,
 ) -> None:
-    """Run the robot until `stopped()` or until that file descriptor ends. `spin_s`: do not sleep in
-    this time before something is due."""
+    """Run the robot until `stopped()` or until that file descriptor ends. `spin_s`: time before due
+    work in which the thread does not sleep."""
     rig.began_ns = time.monotonic_ns() - round(rig.plant.time_s * 1e9)
     began_s = rig.began_ns * 1e-9
     clock = PausingClock(began_s) if rig.pauses else lambda: time.monotonic() - began_s
@@ -149,7 +150,7 @@ class _Runner:
         return ready
 
     def _advance(self) -> None:
-        """The physics up to now, as far as the wires leave time."""
+        """Compute the physics up to now, as far as the wires leave time."""
         rig, clock = self._rig, self._clock
         due_s = rig.due_s(clock())
         while rig.substep_due(now_s := clock()):

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator's control socket, served from the same poll loop as its lines: one JSON object a
-line, `{"method": ..., "params": {...}}` in, `{"result": ...}` or `{"error": ...}` out."""
+"""The simulator's control socket, served from the poll loop of its lines. Each line is one JSON
+object: `{"method": ..., "params": {...}}` in, `{"result": ...}` or `{"error": ...}` out."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ Handler = Callable[[Mapping[str, Any]], Any]
 
 
 class ControlServer:
-    """Answers each request at once; a client that sends too much or reads nothing is dropped."""
+    """Server that answers each request at once. It drops a client that sends too much or reads
+    nothing."""
 
     def __init__(self, path: Path, methods: Mapping[str, Handler]) -> None:
         self.path = path

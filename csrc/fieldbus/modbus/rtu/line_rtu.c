@@ -74,15 +74,15 @@ static int write_all(const rtu_thread *t, const uint8_t *bytes, uint32_t count)
             struct pollfd port = {.fd = t->life.at.fd, .events = POLLOUT};
             int ready = poll(&port, 1, 100);
             if (ready == 0 || (port.revents & (POLLERR | POLLNVAL)) != 0) {
-                return -EIO; /* an output buffer that does not empty: the port is lost */
+                return -EIO; /* an output buffer that does not empty means that the port is lost */
             }
         }
     }
     return 0;
 }
 
-/* Until the last bit has left the shift register, if the driver reports it (not on ptys and some
- * adapters). */
+/* Wait until the last bit has left the shift register, if the driver reports that (not on ptys and
+ * some adapters). */
 static void wait_until_sent(const rtu_thread *t)
 {
     sleep_until(t->machine.end_ns);
@@ -155,7 +155,7 @@ static void hand_on(rtu_thread *t, const line_output *out)
 }
 
 /* --------------------------------------------------------------------------- the thread */
-/* Waits for bytes, a wake or the time; returns the bytes' number or -errno. */
+/* Wait for bytes, a wake or the time. Returns the number of bytes or -errno. */
 static int wait_for_wakeup(rtu_thread *t, int64_t until_ns, uint8_t *bytes, uint32_t room)
 {
     struct pollfd fds[2] = {[1] = {.fd = t->life.at.fd, .events = POLLIN}};
@@ -206,7 +206,8 @@ static void *run(void *arg)
 }
 
 /* ----------------------------------------------------------------------------- its life */
-/* The newest epochs of the last start: a drive may have lost its power and its counter since. */
+/* Return the newest epoch of the last start: a drive may have lost its power and its counter
+ * since. */
 static uint32_t last_epoch(const line_machine *m)
 {
     uint32_t epoch = 0;

@@ -4,7 +4,7 @@
 #include <string.h>
 
 enum { EXCEPTION_BYTES = 5, EXCEPTION_BIT = 0x80, BYTE_BITS = 8 };
-/* Dynamixel protocol 2.0: head, instruction, error number. */
+/* Bytes of Dynamixel protocol 2.0: head, instruction, error number. */
 enum {
     LENGTH_BYTE = 5,
     INSTRUCTION_BYTE = 7,
@@ -14,7 +14,7 @@ enum {
     ERROR_NUMBER = 0x7F
 };
 
-/* A nibble at a time: 16 entries stay in one cache line. */
+/* Tables for a nibble at a time: 16 entries stay in one cache line. */
 static const uint16_t CRC16_NIBBLE[16] = {
     0x0000, 0xCC01, 0xD801, 0x1400, 0xF001, 0x3C00, 0x2800, 0xE401,
     0xA001, 0x6C00, 0x7800, 0xB401, 0x5000, 0x9C01, 0x8801, 0x4400,
@@ -137,7 +137,7 @@ static int64_t with_sign(uint64_t raw, uint32_t bits)
     return (int64_t)(raw ^ top) - (int64_t)top;
 }
 
-/* The place of the n-th byte, the highest one first. */
+/* Return the place of the n-th byte, counted from the highest one. */
 static uint32_t place(uint32_t form, uint32_t n)
 {
     bool high_first = form < FORM_U32_LOW_FIRST || form == FORM_M16_BIT10;
@@ -209,7 +209,7 @@ bool rtu_answer_is_request(const line_frame *frame, const uint8_t *request)
            is_answer(frame, request, request);
 }
 
-/* Whether a status packet with this head stands here, whole and good; MORE: it does not. */
+/* Find whether a status packet with this head is here, whole and good; MORE: it is not. */
 static received status_at(const line_frame *frame, uint32_t at, const uint8_t *bytes, uint32_t left)
 {
     received found = {.kind = RECEIVED_MORE};
@@ -256,8 +256,8 @@ received rtu_hunt(const line_frame *frame, const uint8_t *request, uint32_t from
     return (received){.kind = RECEIVED_MORE};
 }
 
-/* FF FF FD between the length and the check sum would look like a head: one more FD follows it
- * (ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, packet process). */
+/* Whether the bytes would look like a head: after FF FF FD between the length and the check sum,
+ * one more FD follows (ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, packet process). */
 static bool is_like_a_head(const uint8_t *bytes, uint32_t at)
 {
     return at >= INSTRUCTION_BYTE + 2 && bytes[at] == 0xFD && bytes[at - 1] == 0xFF &&
@@ -298,7 +298,7 @@ void rtu_finish(line_frame *frame)
     rtu_seal(frame->request, frame->request_bytes, frame->request_seal);
 }
 
-/* A reply that does not identify its request must be all that came. */
+/* Find a reply that does not identify its request: it must be all that came. */
 static received whole(const line_frame *frame, const uint8_t *request, const uint8_t *bytes,
                       uint32_t count)
 {
@@ -321,8 +321,8 @@ received rtu_find_answer(const line_frame *frame, const uint8_t *request, uint32
     if (echo == 1 && !comes_back) {
         return (received){.kind = RECEIVED_BAD};
     }
-    /* unknown whether there is an echo: bytes that equal the request are an answer only when they
-     * come twice */
+    /* if it is unknown whether there is an echo, bytes that equal the request are an answer only
+     * when they come twice */
     bool passes = echo != 0 && comes_back;
     received found = rtu_hunt(frame, request, passes ? sent : 0, bytes, count);
     found.echoed = comes_back && found.offset >= sent;

@@ -28,12 +28,13 @@ US_PER_S = 1e6
 
 
 class FrameTalk:
-    """line.Talk of a board with motord_mcu.c."""
+    """`line.Talk` of a board with motord_mcu.c."""
 
     def __init__(
         self, profile: DriveProfile, true_s: Callable[[], float], gyro: SimulatedGyro | None = None
     ) -> None:
-        """`true_s`: the time of its registers. `gyro`: a sensor on the board."""
+        """Set the board up. `true_s` returns the time of its registers. `gyro` is a sensor on the
+        board."""
         self._true_s = true_s
         self._gyro = gyro
         self._registers = tuple(profile.registers.values())

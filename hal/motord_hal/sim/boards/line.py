@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated boards on a serial port: each takes a stream of set-points and sends a stream of
+"""Simulated boards on a serial port. Each receives a stream of set-points and sends a stream of
 feedback."""
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from motord_hal.sim.rs485.wire import Clock
 
 
 class Talk(Protocol):
-    """How a board reads and writes bytes."""
+    """Protocol by which a board reads and writes bytes."""
 
     feedback_s: float
-    """From one feedback to the next; infinity: there is none."""
+    """Time from one feedback to the next; infinity: no feedback."""
 
     def power_up(self) -> None: ...
 
     def feed(self, data: bytes, now_s: float) -> Iterator[dict[str, int] | None]:
-        """Register → raw for each set-points message; None for bytes that were none."""
+        """Yield register → raw value for each set-points message; None for bytes that are no
+        message."""
         ...
 
     def feedback(self, content: NamedContent, now_s: float) -> bytes: ...
@@ -45,18 +46,18 @@ class _Board:
 
     @property
     def due_s(self) -> float:
-        """When its next feedback is due."""
+        """Time at which the next feedback is due."""
         return self._fed_back_s + self.talk.feedback_s
 
     def is_awake(self) -> bool:
-        """False while it has no power; its memory is lost when the power comes back."""
+        """Whether the board has power. When it comes back, the board has lost its memory."""
         if self.drive.on and self.drive.stats.reboots != self._reboots:
             self._reboots = self.drive.stats.reboots
             self.talk.power_up()
         return self.drive.on
 
     def feedback(self, now_s: float, *, silent: bool) -> bytes:
-        """Empty: it has no feedback, or is silent."""
+        """Return the next feedback; empty: the board has no feedback, or is silent."""
         self._fed_back_s = now_s
         content = self.drive.registers
         if silent or not self.is_awake() or not isinstance(content, NamedContent):
@@ -65,7 +66,7 @@ class _Board:
 
 
 class SimulatedBoard(SimulatedWire):
-    """As SimulatedLine, with one board on it, or several that only receive."""
+    """A line like `SimulatedLine`, with one board on it, or several that only receive."""
 
     def __init__(
         self,
@@ -75,7 +76,7 @@ class SimulatedBoard(SimulatedWire):
         port: Port,
         talks: Mapping[int, Talk],
     ) -> None:
-        """`talks`: by the board's address."""
+        """Set the line up. `talks`: address of a board → its protocol."""
         super().__init__(spec, drives, script, port, WireCounters())
         self._boards = [_Board(drives[unit], talk) for unit, talk in talks.items()]
         self._incoming: deque[tuple[float, bytes]] = deque()
@@ -86,7 +87,7 @@ class SimulatedBoard(SimulatedWire):
 
     # ------------------------------------------------------------------------------- the poll loop
     def due_s(self, now_s: float) -> float:
-        """When `work` has to be called next, bytes or not."""
+        """Return the time of the next call of `work`, with or without bytes."""
         if not self.port.plugged:
             return math.inf
         received_s = self._incoming[0][0] if self._incoming else math.inf
@@ -94,7 +95,7 @@ class SimulatedBoard(SimulatedWire):
         return min(received_s, self.wire.due_s(), port_s, *(one.due_s for one in self._boards))
 
     def work(self, now_s: float, clock: Clock | None = None) -> None:
-        """Take in what has come, do what is due."""
+        """Take in what has come, and do what is due."""
         if not self.port.plugged:
             return
         data = self.port.take_in(now_s)
@@ -111,7 +112,8 @@ class SimulatedBoard(SimulatedWire):
 
     # -------------------------------------------------------------------------- what comes and goes
     def _receive(self, data: bytes, now_s: float) -> None:
-        """The bytes end when they would have passed the wire: each direction has its own."""
+        """Queue the bytes for the time when they would have passed the wire. Each direction has its
+        own wire."""
         settings = self.port.settings()
         if not self._fits(settings):
             self.counters.bad_crc += 1
@@ -124,7 +126,7 @@ class SimulatedBoard(SimulatedWire):
         return settings is None or settings.baudrate == self.spec.baudrate
 
     def _obey(self, data: bytes, now_s: float) -> None:
-        """Each board receives all bytes, and uses its own."""
+        """Hand the bytes to each board, which uses only its own."""
         for board in self._boards:
             if not board.is_awake():
                 continue

@@ -19,7 +19,7 @@ from motord_hal.sim.rs485.content import NamedContent
 
 
 class HoverboardTalk:
-    """line.Talk of a hoverboard's main board with the FOC firmware."""
+    """`line.Talk` of a hoverboard's main board with the FOC firmware."""
 
     feedback_s = FEEDBACK_S
 
@@ -41,7 +41,7 @@ class HoverboardTalk:
 
 
 class SabertoothTalk:
-    """line.Talk of a Sabertooth: it sends nothing."""
+    """`line.Talk` of a Sabertooth, which sends nothing."""
 
     feedback_s = math.inf
 

@@ -27,10 +27,10 @@ from motord_hal.sim.rs485.content import NamedContent
 
 
 class TextTalk:
-    """line.Talk of a board that reads text."""
+    """`line.Talk` of a board that reads text."""
 
     def __init__(self, spec: LineSpec, gyro: SimulatedGyro | None = None) -> None:
-        """`gyro`: a sensor on the board."""
+        """Set the board up. `gyro` is a sensor on the board."""
         self._gyro = gyro
         self._spec, self._feedback_text, self._received = texts_of(spec)
         self._prefix = set(Lines.whole(self._spec.prefix.encode("ascii")))

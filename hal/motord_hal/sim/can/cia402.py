@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated CANopen drive with the state machine of CiA 402-2, 8.3, by the names that the profile
-`cia402` gives its objects."""
+"""A simulated CANopen drive with the state machine of CiA 402-2, 8.3. It uses the names of objects
+in the profile `cia402`."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ SWITCH_ON_DISABLED, READY, SWITCHED_ON, OPERATION = 0x40, 0x21, 0x23, 0x27
 QUICK_STOP_ACTIVE, FAULT = 0x07, 0x08
 _FAULT_RESET = 0x80
 _NEW_SETPOINT, _AT_ONCE = 0x10, 0x20
-"""Of the control word in profile position mode (CiA 402-2, 10.3): the rising edge of the first
-makes the drive take the target, the second ends the move before."""
+"""Bits of the control word in profile position mode (CiA 402-2, 10.3): the rising edge of the first
+makes the drive take the target, the second ends the previous move."""
 _TAKEN = 0x1000
-"""Of the status word: set-point acknowledge, until the first is 0 again."""
+"""Bit of the status word: set-point acknowledge, until the first of those bits is 0 again."""
 _INVALID = 0x8000_0000
-"""Of a COB-ID: the PDO is off (CiA 301, 7.5.2.35)."""
+"""Bit of a COB-ID: the PDO is off (CiA 301, 7.5.2.35)."""
 _OPERATIONAL = 5
 _SYNCHRONOUS_MAX = 240
-"""Transmission types up to this one go by SYNC (CiA 301, 7.5.2.35)."""
+"""Greatest transmission type that goes by SYNC (CiA 301, 7.5.2.35)."""
 _NMT_STATES = {1: _OPERATIONAL, 2: 4, 128: 127, 129: 127, 130: 127}
-"""Command → state: CiA 301, 7.2.8.3.1; what is reset ends pre-operational."""
+"""NMT command → state: CiA 301, 7.2.8.3.1. After a reset the state is pre-operational."""
 
 
 def speaks_cia402(profile: DriveProfile) -> bool:
@@ -37,7 +37,7 @@ def speaks_cia402(profile: DriveProfile) -> bool:
 
 
 class Cia402Drive(SimulatedDrive):
-    """SDO server, NMT slave, PDOs as they were set up, and the state machine."""
+    """SDO server, NMT slave, PDOs by their set-up, and the state machine."""
 
     def __init__(
         self,
@@ -51,9 +51,9 @@ class Cia402Drive(SimulatedDrive):
         self._state = SWITCH_ON_DISABLED
         self._control = 0
         self._taken = False
-        """Whether it has acknowledged a target."""
+        """Whether the drive has acknowledged a target."""
         self._kept: dict[str, tuple[Frame, bytes]] = {}
-        """PDOs that wait for the next SYNC, by name."""
+        """Name → PDO that waits for the next SYNC."""
         self.registers.make_live("status_word", self._status)
         assert isinstance(self.registers, NamedContent)  # every drive on a CAN bus has it
         for one in profile.registers.values():
@@ -61,7 +61,7 @@ class Cia402Drive(SimulatedDrive):
                 self.registers.make_live(one.object, partial(self.registers.value, one.name))
 
     def sends(self, frame: Frame) -> bool:
-        """Whether it sends this frame now, as it was set up."""
+        """Whether the drive sends this frame now, by its set-up."""
         stored = self.registers.stored
         if frame.name == "heartbeat":
             return stored("producer_heartbeat") > 0
@@ -74,8 +74,8 @@ class Cia402Drive(SimulatedDrive):
         return self.registers.stored(f"{pdo}_type") <= _SYNCHRONOUS_MAX
 
     def due(self, frame: Frame, data: bytes) -> list[tuple[Frame, bytes]]:
-        """As SimulatedDrive.due: a synchronous PDO is acted on with the next SYNC, the newest of
-        each (CiA 301, 7.2.2.2)."""
+        """Implement `SimulatedDrive.due`. A synchronous PDO takes effect with the next SYNC, the
+        newest of each (CiA 301, 7.2.2.2)."""
         if frame.name == "sync":
             kept = [*self._kept.values()]
             self._kept.clear()
@@ -86,7 +86,7 @@ class Cia402Drive(SimulatedDrive):
         return [(frame, data)]
 
     def obeys(self, frame: Frame) -> bool:
-        """Whether it takes this frame now, as it was set up."""
+        """Whether the drive takes this frame now, by its set-up."""
         return not frame.name.startswith("rpdo_") or self._is_on(frame.name)
 
     def _is_on(self, pdo: str) -> bool:
@@ -94,7 +94,7 @@ class Cia402Drive(SimulatedDrive):
         return operational and not self.registers.stored(f"{pdo}_id") & _INVALID
 
     def execute_can(self, written: list[tuple[str, int]], now_s: float) -> None:
-        """As SimulatedDrive.execute_can."""
+        """Implement `SimulatedDrive.execute_can`."""
         for name, raw in written:
             if name == "nmt_command":
                 self.registers.put("nmt_state", _NMT_STATES.get(raw, 127))
@@ -122,13 +122,13 @@ class Cia402Drive(SimulatedDrive):
         if any(motor.stopped_by_fault for motor in motors):
             self._state = FAULT
         elif self._state == OPERATION and not any(motor.switched_on for motor in motors):
-            self._state = SWITCH_ON_DISABLED  # its watchdog has bitten
+            self._state = SWITCH_ON_DISABLED  # its watchdog has expired
         elif self._state == QUICK_STOP_ACTIVE and not any(motor.braking for motor in motors):
             self._state = SWITCH_ON_DISABLED  # 605Ah, 2
         return self._state
 
     def _obey_control(self, word: int) -> None:
-        """One transition a command, in the order of CiA 402-2, table 27."""
+        """Do one transition for a command, in the order of CiA 402-2, table 27."""
         rising, self._control = word & ~self._control, word
         state = self._state_now()
         if state == FAULT:
@@ -146,7 +146,7 @@ class Cia402Drive(SimulatedDrive):
         self._take_target(word, rising)
 
     def _take_target(self, word: int, rising: int) -> None:
-        """Take a target in profile position mode; one without "at once" is not taken."""
+        """Take a target in profile position mode. One without "at once" is ignored."""
         self._taken &= bool(word & _NEW_SETPOINT)
         if self._state == OPERATION and rising & _NEW_SETPOINT and word & _AT_ONCE:
             for motor in self._motors.values():
@@ -156,7 +156,7 @@ class Cia402Drive(SimulatedDrive):
 
 
 def _next(state: int, word: int) -> int:
-    """The state after a control word; faults are handled elsewhere."""
+    """Return the state after a control word. Faults are handled elsewhere."""
     if not word & 0x02:  # disable voltage
         return SWITCH_ON_DISABLED
     if not word & 0x04:  # quick stop

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The signals of a simulated drive on a CAN bus, by name, and its frames made of them."""
+"""The signals of a simulated drive on a CAN bus, by name, and the frames that contain them."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class CanContent(NamedContent):
         self._in = {name: signals_of(profile.registers, name) for name in table.frames}
 
     def written(self, frame: Frame, data: bytes) -> list[tuple[str, int]] | None:
-        """Store a frame's signals, in the order of their places; a value that is out of range, or
-        not a number, changes nothing. None: it is another frame."""
+        """Store a frame's signals and return them in the order of their places. A value that is out
+        of range, or not a number, is left out. None: the data are another frame's."""
         values = parse(frame, self._in[frame.name], data)
         if values is None:
             return None
@@ -36,7 +36,7 @@ class CanContent(NamedContent):
         return low <= signal.to_si(raw) <= high  # false for NaN
 
     def sent(self, frame: Frame) -> bytes:
-        """The frame with the drive's present values."""
+        """Return the frame with the drive's present values."""
         now = {
             signal.name: self._live[signal.name]()
             if signal.name in self._live
@@ -46,7 +46,7 @@ class CanContent(NamedContent):
         return build(frame, self._in[frame.name], now)
 
     def answers(self, asking: Frame) -> tuple[Frame, ...]:
-        """The frames that this one requests, or that confirm it."""
+        """Return the frames that this one requests, or that confirm it."""
         own = self.table.frames_from(Sender.DRIVE)
         return tuple(
             f for f in own if asking.name in (f.ask, f.answers) or asking.confirm == f.name

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A CAN bus of a simulated robot: drives that send their frames at their own times and follow those
-of the master."""
+"""A CAN bus of a simulated robot. Its drives send frames at their own times and follow those of the
+master."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from motord_hal.sim.rs485.drive import SimulatedDrive
 from motord_hal.sim.rs485.wire import Clock
 
 TURNAROUND_PART = 0.5
-"""Drives take half of the longest time that their profile names."""
+"""Part of the longest time in the profile that drives take to answer."""
 BUS_OFF_IDENTIFIER = 0x40
 """CAN_ERR_BUSOFF of linux/can/error.h."""
 TAKE_AT_ONCE = 256
@@ -31,17 +31,17 @@ TAKE_AT_ONCE = 256
 @dataclass(slots=True)
 class CanCounters:
     frames: int = 0
-    """From the master."""
+    """Number of frames from the master."""
     unanswered: int = 0
-    """Those of them for absent nodes, or with an unknown frame."""
+    """Number of those for absent nodes, or with an unknown frame."""
     sent: int = 0
     lost: int = 0
-    """Frames that the CAN bus did not take, or a fault."""
+    """Number of frames that the CAN bus did not take, or a fault removed."""
     plugged: int = 0
 
 
 class SimulatedCanLine:
-    """Drives on a CAN bus that the master shares."""
+    """Drives on a CAN bus that they share with the master."""
 
     def __init__(
         self,
@@ -64,11 +64,11 @@ class SimulatedCanLine:
             for frame in _content(drive).table.frames_from(Sender.DRIVE)
             if frame.period_s
         }
-        """When each of them is due; the drives' clocks are not in step."""
+        """(Unit, frame) → time when it is due. The drives' clocks are not in step."""
 
     # ---------------------------------------------------------------------------------- plugging
     def plug(self) -> None:
-        """Plug it in, if it is not. Raises OSError."""
+        """Plug the bus in, unless it is plugged. Raises OSError."""
         if not self.port.plugged:
             self.port.plug()
             self.counters.plugged += 1
@@ -78,7 +78,7 @@ class SimulatedCanLine:
         self._out.clear()
 
     def go_off(self, until_s: float) -> None:
-        """Bus-off, as the master's controller would report it; nothing passes until then."""
+        """Report bus-off as the master's controller would. Nothing passes until `until_s`."""
         message = can.Message(
             arbitration_id=BUS_OFF_IDENTIFIER,
             is_extended_id=False,
@@ -90,14 +90,14 @@ class SimulatedCanLine:
 
     # ------------------------------------------------------------------------------- the poll loop
     def due_s(self, now_s: float) -> float:
-        """When `work` has to be called next, frames or not."""
+        """Return the time of the next call of `work`, with or without frames."""
         if not self.port.plugged:
             return math.inf
         next_out_s = self._out[0][0] if self._out else math.inf
         return min(next_out_s, self.port.due_s(now_s), *self._periods.values(), math.inf)
 
     def work(self, now_s: float, clock: Clock | None = None) -> None:
-        """Take in what has come, send what is due."""
+        """Take in what has come, and send what is due."""
         if not self.port.plugged:
             return
         del clock
@@ -134,7 +134,7 @@ class SimulatedCanLine:
         self.counters.unanswered += not known
 
     def _execute(self, unit: int, frame: Frame, message: can.Message, now_s: float) -> bool:
-        """Whether the drive has received and understood it."""
+        """Execute a frame. Return whether the drive has received and understood it."""
         drive = self.drives[unit]
         if not drive.on or self._script.silent(unit, now_s):
             return False
@@ -170,7 +170,7 @@ class SimulatedCanLine:
 
     # ----------------------------------------------------------------------------- from the drives
     def _speak(self, now_s: float) -> None:
-        """Frames that the drives send by themselves. A missed time is not made up for."""
+        """Queue frames that the drives send by themselves. A missed time is not made up for."""
         for (unit, name), due_s in self._periods.items():
             if now_s < due_s:
                 continue
@@ -181,7 +181,7 @@ class SimulatedCanLine:
                 self._say(unit, frame, now_s, now_s)
 
     def _say(self, unit: int, frame: Frame, at_s: float, now_s: float) -> None:
-        """Queue the frame as it is now, unless a fault spoils it."""
+        """Queue the frame with its present content, unless a fault spoils it."""
         node = unit
         for fault in self._script.faults:
             if fault.kind not in ("drop", "delay", "wrong-unit") or not fault.strikes(unit, now_s):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a simulated CAN bus is: any that python-can reaches, or unix:PATH."""
+"""Connection of a simulated CAN bus: any bus that python-can reaches, or unix:PATH."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from motord_hal.can.address import bus_arguments, split_address
 from motord_hal.sim.can.unix_bus import UnixBus
 
 GROUP = "239.74.163.2"
-"""Of python-can's documentation for UDP multicast (IPv4, administratively scoped: RFC 2365)."""
+"""Multicast group from python-can's documentation of UDP multicast (IPv4, administratively scoped:
+RFC 2365)."""
 POLL_S = 0.001
-"""For CAN buses without a descriptor."""
+"""Polling interval for CAN buses without a descriptor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,14 +26,14 @@ class BusSettings:
 
 
 def free_address() -> str:
-    """A CAN bus of UDP datagrams on this machine, without other users."""
+    """Return the address of a CAN bus of UDP datagrams on this machine, without other users."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         return f"udp_multicast:{GROUP}:{probe.getsockname()[1]}"
 
 
 class CanPort:
-    """One end of a CAN bus. Nothing here waits."""
+    """One end of a CAN bus. No method waits."""
 
     def __init__(self, address: str, settings: BusSettings) -> None:
         self._address = address
@@ -49,7 +50,7 @@ class CanPort:
         return self._bus is not None
 
     def plug(self) -> None:
-        """Open it. Raises OSError."""
+        """Open the CAN bus. Raises OSError."""
         interface, channel = split_address(self._address)
         if interface == "unix":
             self._bus = UnixBus(channel)
@@ -74,18 +75,18 @@ class CanPort:
         return [self._fd] if self._bus is not None and self._fd is not None else []
 
     def due_s(self, now_s: float) -> float:
-        """When to look without a ready file."""
+        """Return the time to look for frames without a ready file."""
         return now_s + POLL_S if self._bus is not None and self._fd is None else math.inf
 
     def take_in(self) -> can.Message | None:
-        """The next frame that has come."""
+        """Return the next received frame, or None."""
         try:
             return None if self._bus is None else self._bus.recv(timeout=0)
         except (can.CanError, OSError):
             return None
 
     def put(self, message: can.Message) -> bool:
-        """False: it was lost, as on a CAN bus that is full."""
+        """Send a frame. Return False if it was lost, as on a full CAN bus."""
         if self._bus is None:
             return False
         try:
@@ -95,7 +96,7 @@ class CanPort:
         return True
 
     def stall(self, until_s: float) -> None:
-        """A CAN bus does not stall."""
+        """Do nothing: a CAN bus does not stall."""
 
     def forget(self) -> None:
-        """A CAN bus has no connections."""
+        """Do nothing: a CAN bus has no connections."""

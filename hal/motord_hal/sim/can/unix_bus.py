@@ -4,7 +4,7 @@ datagrams are struct can_frame and canfd_frame (linux/can.h). Its creator receiv
 one client sends, all others receive. Nothing waits: a reader whose buffer is full loses the frame,
 as on a CAN bus.
 
-One thread receives, any number send, any may close. A socket is closed under the lock that its
+One thread may receive; any number may send and close. A socket is closed under the lock that its
 users hold, so no thread uses a descriptor that is closed, or that belongs to another file by
 then."""
 
@@ -23,20 +23,21 @@ import can
 from motord_hal.can.socket_frames import FRAME_BYTES_MAX, packed, unpacked
 
 _LATEST = 128
-"""Connections that wait to be accepted."""
+"""Greatest number of connections that wait to be accepted."""
 
 
 class UnixBus(can.BusABC):
-    """The CAN bus itself, as the simulator sees it."""
+    """The CAN bus itself, from the simulator's side."""
 
     def __init__(self, path: str) -> None:
         with contextlib.suppress(FileNotFoundError):
             os.unlink(path)
         self._path = path
         self._receiving = threading.Lock()
-        """Of the listening socket, the poll set and the event; taken before `_sending`."""
+        """Guards the listening socket, the poll set and the event. It is taken before
+        `_sending`."""
         self._sending = threading.Lock()
-        """Of the clients' sockets."""
+        """Guards the clients' sockets."""
         self._clients: dict[int, socket.socket] = {}
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         self._listener.bind(path)
@@ -48,12 +49,12 @@ class UnixBus(can.BusABC):
         super().__init__(channel=path)
 
     def fileno(self) -> int:
-        """Readable when there is something to receive."""
+        """Return a descriptor that is readable when there is something to receive."""
         return self._ready.fileno()
 
     def shutdown(self) -> None:
-        """Ends a `recv` that waits, waits for every thread that is inside, and closes. Later calls
-        of `recv` and `send` raise CanOperationError."""
+        """End a waiting `recv`, wait for every thread that is inside, and close. Later calls of
+        `recv` and `send` raise CanOperationError."""
         if self._is_shutdown:
             return
         super().shutdown()

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated motor bridge: follows its pins at once, for as long as they keep their levels.
+"""A simulated motor bridge, which follows its pins at once, for as long as they keep their levels.
 
-No watchdog, no sequences: a bridge has power while its pins enable it, whichever program wrote
-them.
-"""
+It has no watchdog and no sequences: a bridge has power while its pins enable it, whichever program
+wrote them."""
 
 from __future__ import annotations
 
@@ -18,15 +17,15 @@ from motord_hal.sim.positioning import GAIN_PER_S, SPEED_RAD_S
 from motord_hal.sim.rs485.drive import SimulatedDrive
 
 SERVO_DEAD_BAND_RAD = 0.003
-"""Of a servo on pulses: about 2 to 4 µs of the pulse."""
+"""Dead band of a servo on pulses: about 2 to 4 µs of the pulse."""
 LEVEL_TOLERANCE = 1e-4
-"""Of a period: channels take whole nanoseconds, and half of one is less than this up to
-200 kHz."""
+"""Tolerance as a part of a period. Channels take whole nanoseconds, and half of one is less than
+this up to 200 kHz."""
 
 
 def mode_of(bridge: Bridge, levels: Mapping[str, float]) -> tuple[str, float] | None:
-    """Which mode, and the duty from 0 to 1 in it, these levels of all pins are; None: of no mode.
-    If braking and coasting have the same levels, it is the bridge's mode at rest."""
+    """Return the mode and its duty, 0 to 1, that these levels of all pins mean; None: no mode. If
+    braking and coasting have the same levels, it is the bridge's mode at rest."""
     for mode in (bridge.rest, "brake", "coast", "forward", "reverse"):
         pins = {pin: modes[mode] for pin, modes in bridge.levels.items()}
         duty = _duty(pins, levels)
@@ -39,13 +38,13 @@ def mode_of(bridge: Bridge, levels: Mapping[str, float]) -> tuple[str, float] | 
 
 
 def _duty(pins: Mapping[str, tuple[float, float]], levels: Mapping[str, float]) -> float:
-    """The duty, from the first pin that shows it."""
+    """Return the duty, from the first pin that shows it."""
     sent = ((levels[pin] - base) / slope for pin, (base, slope) in pins.items() if slope != 0.0)
     return max(0.0, min(1.0, next(sent, 0.0)))
 
 
 class SimulatedBridge(SimulatedDrive):
-    """Without power until its pins enable it."""
+    """A bridge on pins, without power until they enable it."""
 
     def __init__(
         self,
@@ -60,11 +59,11 @@ class SimulatedBridge(SimulatedDrive):
         super().__init__(profile, unit, axes, watchdog_s=watchdog_s)
 
     def enabled(self, channel: int) -> bool:
-        """Whether it gives this motor power, or shorts it."""
+        """Whether the bridge gives this motor power, or shorts it."""
         return super().enabled(channel) and self._mode != "coast"
 
     def follow(self, mode: str, duty: float) -> None:
-        """Take over the present levels of its pins."""
+        """Apply the present mode and duty of the pins."""
         directions = {"forward": 1.0, "reverse": -1.0}
         self._mode, self._duty = mode, duty * directions.get(mode, 0.0)
         self._apply()
@@ -77,7 +76,7 @@ class SimulatedBridge(SimulatedDrive):
         motor.axis.wheel.push(self._duty * motor.axis.sign, motor.axis.full_duty_rad_s)
 
     def _servo_rad_s(self, motor: Motor) -> float:
-        """Speed towards the angle of the pulses."""
+        """Return the speed towards the angle of the pulses."""
         full_rad = self.profile.registers[motor.channel.setpoint].si_limits[1]
         goal_rad = self._duty * full_rad / motor.axis.motor_per_wheel
         off_rad = goal_rad - motor.axis.wheel.position_rad
@@ -88,7 +87,8 @@ class SimulatedBridge(SimulatedDrive):
 
     # ------------------------------------------------------------------------------ its encoder
     def count_edges(self, channel: int, rad_per_count: float) -> None:
-        """Put an encoder on this motor; `rad_per_count` is the wheel's angle, signed."""
+        """Put an encoder on this motor. `rad_per_count` is the wheel's angle for one count,
+        signed."""
         motor = self._motors[channel]
         counts_per_turn = round(math.tau / (rad_per_count * motor.axis.motor_per_wheel))
         motor.encoder = Encoder(counts_per_turn, COUNTER_BITS)
@@ -97,12 +97,13 @@ class SimulatedBridge(SimulatedDrive):
         return self._motors[channel].count
 
     def reboot(self, now_s: float, for_s: float, *, keeps_counter: bool = False) -> None:
-        """The counter is the computer's, which keeps its power."""
+        """Reboot as `SimulatedDrive` does, but keep the counter: it is in the computer, which keeps
+        its power."""
         del keeps_counter
         super().reboot(now_s, for_s, keeps_counter=True)
 
     def start_near_wrap(self) -> None:
-        """As SimulatedDrive.start_near_wrap."""
+        """Implement `SimulatedDrive.start_near_wrap`."""
         for motor in self._motors.values():
             if motor.encoder is not None:
                 shaft_rad, half = motor.axis.shaft_rad, 1 << (COUNTER_BITS - 1)

@@ -3,8 +3,8 @@
 uses.
 
 Source of names and contents: kernel, Documentation/ABI/testing/sysfs-class-pwm and
-sysfs-bus-counter. Plain files keep the tail of a longer number, and are empty while they are
-written anew: text that is not a number keeps the number before it.
+sysfs-bus-counter. When a plain file is written, it keeps the tail of a longer number, and is empty
+for a moment: if the text is not a number, the number read before stays.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 COUNTER_BITS = 16
-"""As wide as those of many timers: a run of some minutes goes across the wrap."""
+"""Width of the counters, like those of many timers: a run of some minutes goes across the wrap."""
 COUNT_DIGITS = 7
-"""Eight bytes with the newline, written at once: no reader gets half a number."""
+"""Digits of a count. With the newline they are eight bytes, written at once: no reader gets half a
+number."""
 NUMBER_BYTES = 24
 _CHANNEL = {"period": "0", "duty_cycle": "0", "enable": "0", "polarity": "normal"}
 _COUNT = {
@@ -31,7 +32,7 @@ _COUNT = {
 
 @dataclass(slots=True)
 class _Number:
-    """A file that another program writes."""
+    """A file with a number that another program writes."""
 
     fd: int
     value: int = 0
@@ -44,8 +45,8 @@ class _Number:
 
 
 class PinFolder:
-    """`pwmN` for each channel and `countN` for each counter. Pulled: the pins are not connected to
-    the bridges; the files stay, as in life."""
+    """`pwmN` for each channel and `countN` for each counter. While they are pulled, the pins are
+    not connected to the bridges; the files stay, as on a real machine."""
 
     def __init__(self, folder: Path, channels: Iterable[int], counters: int) -> None:
         self.folder = folder
@@ -57,7 +58,7 @@ class PinFolder:
 
     @property
     def address(self) -> str:
-        """The pwm_chip of a robot file, and the counter of an encoder."""
+        """Path of the folder: the pwm_chip of a robot file, and the counter of an encoder."""
         return str(self.folder)
 
     @property
@@ -65,7 +66,7 @@ class PinFolder:
         return self._plugged
 
     def plug(self) -> None:
-        """Connect the bridges; the first time, make the files. Raises OSError."""
+        """Connect the bridges; make the files the first time. Raises OSError."""
         if not self._numbers:
             for channel in self._channels:
                 folder = _made(self.folder / f"pwm{channel}", _CHANNEL)
@@ -83,7 +84,7 @@ class PinFolder:
         self._plugged = False
 
     def remove(self) -> None:
-        """Remove the files; a program that has one open keeps it."""
+        """Remove the files. A program that has one open keeps it."""
         self.pull()
         for numbers in self._numbers.values():
             for number in numbers:
@@ -95,7 +96,7 @@ class PinFolder:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def level(self, channel: int) -> float | None:
-        """The part of its period for which a channel is high; None: it makes no pulses."""
+        """Return the part of its period for which a channel is high; None: no pulses."""
         period, duty, enable = (number.read() for number in self._numbers[channel])
         return min(duty / period, 1.0) if enable and period else None
 
@@ -105,15 +106,15 @@ class PinFolder:
             os.pwrite(self._counts[number], b"%0*d\n" % (COUNT_DIGITS, count), 0)
 
     def filenos(self, now_s: float) -> list[int]:
-        """Nothing reports that a file was written."""
+        """Return no descriptors: nothing reports that a file was written."""
         del now_s
         return []
 
     def stall(self, until_s: float) -> None:
-        """Pins do not stall."""
+        """Do nothing: pins do not stall."""
 
     def forget(self) -> None:
-        """Pins have no connections."""
+        """Do nothing: pins have no connections."""
 
 
 def _made(folder: Path, files: dict[str, str]) -> Path:

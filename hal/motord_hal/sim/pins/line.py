@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line of simulated motor bridges on the files of a PWM chip, their encoders on those of a
+"""A line of simulated motor bridges on the files of a PWM chip, with encoders on those of a
 counter. Files do not report writes, so the line reads them often."""
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from motord_hal.sim.pins.folder import PinFolder
 from motord_hal.sim.rs485.wire import Clock
 
 LOOK_EVERY_S = 0.001
-"""The step of the physics."""
+"""Interval between readings: the step of the physics."""
 
 
 def channels_of(joints: Sequence[JointSpec]) -> list[list[Place]]:
-    """By joint, the pins of its bridge that are PWM channels here. GPIO lines that only give power
-    are taken as wired to the supply. One that selects the direction gets a channel of its own,
-    above those of the robot file: its duty is 0 or all of a period, which is a level."""
+    """Return, by joint, the pins of its bridge that are PWM channels here. GPIO lines that only
+    give power count as wired to the supply. A line that selects the direction gets a channel of its
+    own, above those of the robot file: its duty is 0 or all of a period, which is a level."""
     every = [places_of(number, joint) for number, joint in enumerate(joints)]
     used = [place.channel for places in every for place in places if place.channel is not None]
     free = itertools.count(max(used, default=-1) + 1)
@@ -38,7 +38,7 @@ def channels_of(joints: Sequence[JointSpec]) -> list[list[Place]]:
 
 
 def selects_direction(joint: JointSpec, place: Place) -> bool:
-    """A pin of the bridge, not `fault` or `pump`, that does more than give it power."""
+    """Whether a pin of the bridge, not `fault` or `pump`, does more than give it power."""
     bridge = bridge_of(joint)
     return place.pin in bridge.levels and not may_be_left_out(bridge, place.pin)
 
@@ -53,7 +53,8 @@ class PinCounters:
 
 
 class SimulatedPins:
-    """As SimulatedLine. Pulled: the bridges get no pulses, without an error; encoders count."""
+    """A line like `SimulatedLine`. While it is pulled, bridges get no pulses, without an error;
+    encoders count."""
 
     def __init__(
         self, spec: LineSpec, drives: Mapping[int, SimulatedBridge], port: PinFolder
@@ -71,7 +72,7 @@ class SimulatedPins:
 
     # ---------------------------------------------------------------------------------- plugging
     def plug(self) -> None:
-        """Plug it in, if it is not. Raises OSError."""
+        """Plug the line in, unless it is plugged. Raises OSError."""
         if not self.port.plugged:
             self.port.plug()
             self.counters.plugged += 1
@@ -83,7 +84,7 @@ class SimulatedPins:
 
     # ------------------------------------------------------------------------------- the poll loop
     def due_s(self, now_s: float) -> float:
-        """When `work` has to be called next."""
+        """Return the time of the next call of `work`."""
         del now_s
         return self._looked_s + LOOK_EVERY_S
 
@@ -108,9 +109,9 @@ class SimulatedPins:
 
     def _read(self, joint: JointSpec, places: list[Place]) -> tuple[str, float]:
         bridge = bridge_of(joint)
-        levels = dict.fromkeys(bridge.levels, 1.0)  # what is left out is wired to the supply
+        levels = dict.fromkeys(bridge.levels, 1.0)  # a pin that is left out is wired to the supply
         for place in places:
-            assert place.channel is not None  # as channels_of chose them
+            assert place.channel is not None  # channels_of chose only such places
             level = self.port.level(place.channel)
             if level is None:
                 return "coast", 0.0

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers by name alone; the content of DDSM frames, where a name is a place in a command's
-request or reply (motord_hal.ddsm.codec); and the control table of a bus servo."""
+"""Contents of simulated drives: registers by name alone; DDSM frames, in which a name is a place in
+a command's request or reply (motord_hal.ddsm.codec); the control table of a bus servo."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TABLE_BYTES = 256
 
 
 class NamedContent:
-    """The registers of a drive's profile, by name. A live one is computed when it is read."""
+    """Registers of a drive's profile, by name. A live register is computed when it is read."""
 
     def __init__(self, profile: DriveProfile) -> None:
         self._registers = profile.registers
@@ -24,7 +24,7 @@ class NamedContent:
         self.power_up()
 
     def power_up(self) -> None:
-        """All at their defaults."""
+        """Set all registers to their defaults."""
         self._raw = {name: register.default for name, register in self._registers.items()}
 
     def make_live(self, name: str, value: Callable[[], int]) -> None:
@@ -37,16 +37,16 @@ class NamedContent:
         self._raw[name] = raw
 
     def value(self, name: str) -> int:
-        """The raw value as the drive reports it now."""
+        """Return the raw value that the drive reports now."""
         live = self._live.get(name)
         return self._raw[name] if live is None else live()
 
 
 class FrameContent(NamedContent):
-    """Of DDSM motors."""
+    """Registers of a DDSM motor."""
 
     def write(self, frame: bytes) -> list[tuple[str, int]]:
-        """Store the values of a request; one that is out of range changes nothing."""
+        """Store the values of a request, and return them. A value out of range changes nothing."""
         written = []
         for name, register in self._registers.items():
             if command_of(register) != frame[1] or "w" not in register.access:
@@ -58,7 +58,7 @@ class FrameContent(NamedContent):
         return written
 
     def reply(self, unit: int, command: int) -> bytes | None:
-        """The drive's answer to a command; None: the command is unknown."""
+        """Return the drive's answer to a command; None: the command is unknown."""
         sent = [
             register
             for register in self._registers.values()
@@ -84,7 +84,7 @@ class ControlTable(NamedContent):
         self._memory = bytearray(TABLE_BYTES)
 
     def read(self, address: int, count: int) -> bytes:
-        """This many bytes from an address on."""
+        """Return `count` bytes from an address on."""
         data = bytearray(self._memory[address : address + count].ljust(count, b"\0"))
         for register in self._within(address, count):
             place = register.address - address
@@ -95,7 +95,7 @@ class ControlTable(NamedContent):
         return bytes(data)
 
     def write(self, address: int, data: bytes) -> list[tuple[str, int]]:
-        """Store them; returns the raw values by register."""
+        """Store bytes, and return the raw values by register."""
         self._memory[address : address + len(data)] = data
         written = []
         for register in self._within(address, len(data)):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated drive: it carries out a profile on motors.
+"""A simulated drive, which carries out a profile on motors.
 
 The profile's sequences give the control words their meaning: the drive is enabled when the writes
 of `arm` have been made in their order, and disabled after those of `disarm` or `quick_stop`. It is
-as strict as a real one: a set-point stays in its register through a disarming, so a master that
+as strict as a real drive: a set-point stays in its register through a disarming, so a master that
 enables it with an old set-point moves the motor.
 """
 
@@ -31,22 +31,23 @@ class DriveStats:
     requests: int = 0
     exceptions: int = 0
     gap_violations: int = 0
-    """Requests that came before the silent interval was over."""
+    """Number of requests that came before the silent interval was over."""
     watchdog_bites: int = 0
     reboots: int = 0
     flashed: int = 0
-    """Settings that were stored slowly (slow-flash)."""
+    """Number of settings that were stored slowly (slow-flash)."""
 
 
 class _Sequence:
-    """Recognises the writes of one sequence of the profile, in their order."""
+    """Detector of the writes of one sequence of the profile, in their order."""
 
     def __init__(self, steps: tuple[Step, ...]) -> None:
         self._writes = [(step.register, step.value) for step in steps if step.value is not None]
         self._done = 0
 
     def feed(self, name: str, raw: int) -> bool:
-        """True when this write completes it. Writes to other registers do not matter."""
+        """Take a write. Return True if it completes the sequence. Writes to other registers are
+        ignored."""
         if all(name != register for register, _ in self._writes):
             return False
         if self._writes[self._done] == (name, raw):
@@ -60,7 +61,7 @@ class _Sequence:
 
 
 class SimulatedDrive:
-    """One unit on a line. `watchdog_s` gives a drive whose profile has no watchdog one."""
+    """One unit on a line. `watchdog_s` adds a watchdog if the profile has none; 0: no watchdog."""
 
     def __init__(
         self,
@@ -97,20 +98,20 @@ class SimulatedDrive:
         self._flash_until_s = -math.inf
         self._flash_busy = False
         self.homed = profile.homed is not None
-        """Whether its position has a reference."""
+        """Whether the position has a reference."""
         Reports(profile, self.registers, self._motors, self.enabled, lambda: self.homed)
 
     # ------------------------------------------------------------------------------- state, read
     @property
     def functions(self) -> frozenset[int]:
-        """The protocol that its profile names."""
+        """Modbus functions that the drive supports by its profile."""
         spoken = {Function.READ_HOLDING, Function.WRITE_SINGLE, self.profile.write_function}
         both = self.profile.read_write_function
         return frozenset(spoken if both is None else spoken | {both})
 
     @property
     def on(self) -> bool:
-        """False while it reboots."""
+        """Whether the drive has power; False during a reboot."""
         return self._off_until_s == -math.inf
 
     def enabled(self, channel: int) -> bool:
@@ -120,21 +121,23 @@ class SimulatedDrive:
 
     # -------------------------------------------------------------------------------- the wire
     def receives(self, now_s: float) -> bool:
-        """False while it stores a setting and receives nothing."""
+        """Whether the drive receives; False while it stores a setting."""
         return self._flash_busy or now_s >= self._flash_until_s
 
     def takes_setting(self) -> bool:
-        """Whether the last request wrote one of the registers that are set up once."""
+        """Whether the last request wrote a register that is written only at set-up. Clears this
+        state."""
         taken, self._setting_taken = self._setting_taken, False
         return taken
 
     def flash(self, until_s: float, *, busy: bool) -> None:
-        """Store a setting until then: without an answer, or refusing with exception 6."""
+        """Store a setting until `until_s`: without an answer, or refusing with exception 6 if
+        `busy`."""
         self.stats.flashed += 1
         self._flash_until_s, self._flash_busy = until_s, busy
 
     def execute(self, request: Request, now_s: float) -> tuple[int, ...]:
-        """Carry out a request; returns the words read. Raises Refusal."""
+        """Carry out a request; return the read words. Raises Refusal."""
         self.stats.requests += 1
         self._received_s = now_s
         try:
@@ -162,7 +165,7 @@ class SimulatedDrive:
         return registers.read(request.address, request.count)
 
     def execute_ddsm(self, frame: bytes, now_s: float) -> bytes | None:
-        """Carry out a good DDSM frame; returns the answer, None for an unknown command."""
+        """Carry out a good DDSM frame; return the answer, or None for an unknown command."""
         assert isinstance(self.registers, FrameContent)
         self.stats.requests += 1
         self._received_s = now_s
@@ -173,27 +176,27 @@ class SimulatedDrive:
         return reply
 
     def sends(self, frame: Frame) -> bool:
-        """Whether it sends this frame by itself now."""
+        """Whether the drive sends this frame without a request now."""
         del frame
         return True
 
     def obeys(self, frame: Frame) -> bool:
-        """Whether it takes this frame now."""
+        """Whether the drive takes this frame now."""
         del frame
         return True
 
     def due(self, frame: Frame, data: bytes) -> list[tuple[Frame, bytes]]:
-        """The signals that take effect now that this frame has come."""
+        """Return the frames that take effect now that this frame has come."""
         return [(frame, data)]
 
     def execute_can(self, written: list[tuple[str, int]], now_s: float) -> None:
-        """A frame to this drive has come, with these signals."""
+        """Carry out a frame to this drive that had these signals."""
         self.stats.requests += 1
         self._received_s = now_s
         self._obey(written)
 
     def obey(self, written: Mapping[str, int], now_s: float) -> None:
-        """Carry out a frame that has every register; only a change counts as a step of a
+        """Carry out a frame that has every register. Only a change counts as a step of a
         sequence."""
         self.stats.requests += 1
         self._received_s = now_s
@@ -216,7 +219,7 @@ class SimulatedDrive:
             self._apply()
 
     def _take_setpoint(self, motor: Motor, written: Mapping[str, int]) -> None:
-        """If the set-point counts only together with others: take it when all came at once."""
+        """Take a set-point that counts only with other registers, if all came at once."""
         channel = motor.channel
         whole = all(written.get(name) == raw for name, raw in channel.setpoint_with)
         if channel.setpoint_with and channel.setpoint in written and whole:
@@ -246,7 +249,7 @@ class SimulatedDrive:
 
     # ---------------------------------------------------------------------------------- motors
     def _brake(self) -> None:
-        """Quick stop: along the drive's own deceleration to rest, then without power."""
+        """Start a quick stop: along the drive's own deceleration to rest, then without power."""
         for number, motor in self._motors.items():
             motor.braking = motor.braking or self.enabled(number)
             motor.switched_on = self._always_on
@@ -302,7 +305,7 @@ class SimulatedDrive:
 
     # ------------------------------------------------------------------------------------ time
     def tick(self, now_s: float) -> None:
-        """Once a sub-step of the plant: the drive's own clock."""
+        """Advance the drive's own clock, once in each sub-step of the plant."""
         if not self.on:
             if now_s >= self._off_until_s:
                 self._power_up()
@@ -326,8 +329,8 @@ class SimulatedDrive:
         return limit_s > 0.0 and now_s - self._received_s > limit_s
 
     def reboot(self, now_s: float, for_s: float, *, keeps_counter: bool = False) -> None:
-        """Power fails for this long; then everything is as after power-up, except the counter of a
-        drive that keeps it (its logic kept its power)."""
+        """Switch the power off for `for_s`. Then everything is as after power-up, except the
+        counter if `keeps_counter` (the drive's logic kept its power)."""
         self.stats.reboots += 1
         self._keeps_counter = keeps_counter
         self._flash_until_s = -math.inf
@@ -349,7 +352,7 @@ class SimulatedDrive:
 
     # ---------------------------------------------------------------------------------- faults
     def find_fault(self, channel: int, bit: int | None, code: int | None) -> FaultBit:
-        """One of the profile's faults. ValueError if it has no such fault."""
+        """Return one of the profile's faults. Raises ValueError if it has no such fault."""
         for fault in self.profile.faults:
             motor = self._motors.get(channel)
             if (fault.bit, fault.code) == (bit, code) and motor and motor.channel.fault:
@@ -360,7 +363,7 @@ class SimulatedDrive:
         )
 
     def raise_fault(self, channel: int, bit: int | None = None, code: int | None = None) -> None:
-        """Latch one of the profile's faults. ValueError if it has no such fault."""
+        """Latch one of the profile's faults. Raises ValueError if it has no such fault."""
         fault, motor = self.find_fault(channel, bit, code), self._motors[channel]
         if fault not in motor.faults:
             motor.faults.append(fault)
@@ -369,7 +372,7 @@ class SimulatedDrive:
         self._apply()
 
     def suffer(self, defects: tuple[Defect, ...]) -> None:
-        """From now on its motors have these defects."""
+        """Replace the present defects of the motors with these."""
         if defects == self._defects:
             return
         self._defects = defects
@@ -383,8 +386,7 @@ class SimulatedDrive:
             motor.start_near_wrap(self.profile)
 
     def tag_counters(self) -> None:
-        """Let each motor of the robot count from its own number, so that a count shows its
-        motor."""
+        """Start each motor's counter at its own number, so that a count shows its motor."""
         for number, motor in self._motors.items():
             motor.start_at(tagged_count(self.profile.counter_bits, self.unit, number))
 
@@ -401,21 +403,21 @@ def _content(profile: DriveProfile) -> RegisterFile | NamedContent:
 
 
 def _commands(profile: DriveProfile, name: str) -> bool:
-    """Whether a sequence is more than set-points, which only set a speed."""
+    """Whether a sequence does more than write set-points, which only set a speed."""
     setpoints = {channel.setpoint for channel in profile.channels.values()}
     writes = {step.register for step in getattr(profile, name) if step.value is not None}
     return profile.can is None or not writes or not writes <= setpoints
 
 
 def _switching(profile: DriveProfile) -> set[str]:
-    """The set-points that switch the motor on by themselves."""
+    """Return the set-points that switch the motor on by themselves."""
     if profile.can is None or profile.can.idle_setpoints:
         return set()
     return {channel.setpoint for channel in profile.channels.values()}
 
 
 def _settings(profile: DriveProfile) -> frozenset[str]:
-    """Registers that are written once, at the set-up: not commands."""
+    """Return the registers that are written once, at the set-up: not commands."""
     once = {step.register for step in profile.configure if step.value is not None}
     once |= {profile.watchdog.register} if profile.watchdog else set()
     sequences = (profile.arm, profile.disarm, profile.quick_stop, profile.clear_fault)
@@ -426,6 +428,6 @@ def _settings(profile: DriveProfile) -> frozenset[str]:
 
 
 def tagged_count(bits: int, unit: int, channel: int) -> int:
-    """Where a tagged counter starts: the unit is its highest byte, then three bits for the
+    """Return the start of a tagged counter: the unit is its highest byte, then three bits for the
     channel."""
     return (unit << bits >> 8) + (channel - 1 << bits >> 11)

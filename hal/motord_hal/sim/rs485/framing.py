@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line's protocol: when a request is whole and good, which unit answers it and how."""
+"""Protocols of lines: when a request is whole and good, which unit answers it and how."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ class Rewriting(Protocol):
     """The part of a protocol that faults need."""
 
     def refusal(self, frame: bytes, code: int) -> bytes:
-        """The refusal in place of this frame; empty if the protocol has none."""
+        """Return the refusal in place of this frame; empty: the protocol has no refusals."""
 
     def readdressed(self, frame: bytes, unit: int) -> bytes:
-        """A good frame with another unit's address."""
+        """Return the frame, still good, with another unit's address."""
 
 
 class Framing(Rewriting, Protocol):
     """One protocol of a line."""
 
     def whole(self, frame: bytes) -> bool:
-        """Whether the request is complete without the silence after it."""
+        """Whether the request is complete without a silence after it."""
 
     def good(self, frame: bytes) -> bool:
-        """Whether its check sum fits."""
+        """Whether the frame's check sum fits."""
 
     def is_broadcast(self, frame: bytes) -> bool: ...
 
     def is_answered(self, frame: bytes) -> bool:
-        """Whether the unit that it names answers a good frame."""
+        """Whether the addressed unit answers this frame if it is good."""
 
     def answer(
         self, frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float
@@ -79,13 +79,13 @@ class ModbusFraming:
 
 
 class DdsmFraming:
-    """Ten bytes in each direction (motord_hal.ddsm.codec)."""
+    """Frames of ten bytes in each direction (motord_hal.ddsm.codec)."""
 
     def whole(self, frame: bytes) -> bool:
         return len(frame) == ddsm.FRAME_BYTES and self.good(frame)
 
     def good(self, frame: bytes) -> bool:
-        """A command that is not answered carries no check sum."""
+        """Whether the check sum fits, or none is due: commands that are not answered have none."""
         bare = len(frame) == ddsm.FRAME_BYTES and not ddsm.is_answered(frame[1])
         return bare or ddsm.sealed(frame)
 
@@ -110,7 +110,7 @@ class DdsmFraming:
 
 
 class RoboclawFraming:
-    """Packets (motord_hal.roboclaw.codec)."""
+    """Packets of RoboClaw (motord_hal.roboclaw.codec)."""
 
     def whole(self, frame: bytes) -> bool:
         return roboclaw.packet_bytes(frame) == len(frame)
@@ -140,7 +140,7 @@ class RoboclawFraming:
         return b""
 
     def readdressed(self, frame: bytes, unit: int) -> bytes:
-        """The address is in the check sum alone."""
+        """Return the frame as another unit's. Only the check sum contains the address."""
         return frame[:-1] + bytes((frame[-1] ^ unit,))
 
 
@@ -154,7 +154,7 @@ class ServoFraming:
         return is_whole(self._packets, frame)
 
     def refusal(self, frame: bytes, code: int) -> bytes:
-        """A Dynamixel sends an error number; a Feetech servo refuses nothing."""
+        """Return an error number from a Dynamixel. A Feetech servo refuses nothing."""
         if not frame.startswith(_DYNAMIXEL_HEAD):
             return frame
         return self._packets.build_status(frame[self._packets.unit_byte], code)
@@ -167,7 +167,7 @@ class ServoFraming:
 
 
 class Unaddressed:
-    """A board alone on its port: there is no other unit, and it refuses nothing."""
+    """A board alone on its port. There is no other unit, and the board refuses nothing."""
 
     def refusal(self, frame: bytes, code: int) -> bytes:
         del frame, code
@@ -182,7 +182,7 @@ _DYNAMIXEL_HEAD = b"\xff\xff\xfd\x00"
 
 
 def framing_of(kind: str) -> Framing:
-    """The framing of a line's kind."""
+    """Return the framing of a line's kind."""
     if kind == "roboclaw":
         return RoboclawFraming()
     return DdsmFraming() if kind == "ddsm" else ModbusFraming()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Modbus TCP gateway in front of a simulated line: one request at a time goes on the wire behind
+"""A Modbus TCP gateway in front of a simulated line. One request at a time goes on the wire behind
 it, at the wire's pace.
 
 Sources: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, 3.1.3 (the MBAP header); MODBUS
@@ -18,12 +18,12 @@ from motord_hal.sim.rs485.tcp import Client, TcpPort
 
 TARGET_SILENT = 0x0B
 REPLY_TIMEOUT_S = 0.2
-"""After the request's last byte on the wire; a usual setting of gateways."""
+"""Reply time-out after the request's last byte on the wire; a usual setting of gateways."""
 REST_TIMEOUT_S = 0.02
-"""Between the pieces of a reply."""
+"""Time-out between the pieces of a reply."""
 _HEADER_BYTES = 7
 _LENGTH_MAX = 254
-"""Unit and PDU."""
+"""Greatest length of unit and PDU."""
 
 
 @dataclass(slots=True, eq=False)
@@ -34,7 +34,7 @@ class _Request:
 
 
 class GatewayPort(TcpPort):
-    """Serves any number of connections, in the order of their requests."""
+    """Port with any number of connections, served in the order of their requests."""
 
     def __init__(self, host: str, port: int, *, character_s: float, gap_s: float) -> None:
         super().__init__(host, port)
@@ -48,7 +48,8 @@ class GatewayPort(TcpPort):
         self._reply = bytearray()
         self._deadline_s = math.inf
         self._overdue = False
-        """The deadline has passed; bytes that were on the wire by then come with the next look."""
+        """Whether the deadline has passed. Bytes that were on the wire by then come with the next
+        look."""
         self._free_s = -math.inf
         self._just_over = False
         self._hold = False
@@ -67,13 +68,13 @@ class GatewayPort(TcpPort):
         return min(super().due_s(now_s), self._deadline_s, waiting_s)
 
     def take_in(self, now_s: float) -> bytes | None:
-        """The next request's frame, once the one before has ended."""
+        """Return the next request's frame, once the previous one has ended."""
         if now_s >= self._stalled_until_s:
             self._flush(now_s)
             self._accept()
             for client in list(self._clients):
                 self._read(client, now_s)
-        if self._just_over:  # only now the last byte has surely passed
+        if self._just_over:  # the last byte has passed only now
             self._just_over = False
             self._free_s = now_s + self._gap_s
         if self._in_progress is not None and self._overdue:
@@ -84,7 +85,7 @@ class GatewayPort(TcpPort):
         return self._begin(self._requests.popleft(), now_s)
 
     def put(self, data: bytes, now_s: float) -> int:
-        """Bytes from the wire; bytes that were not requested are dropped."""
+        """Take bytes from the wire. Bytes that were not requested are dropped."""
         if self._in_progress is None:
             return len(data)
         self._reply += data

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One line of a simulated robot: drives behind a port whose bytes come as a UART would bring them.
+"""One line of a simulated robot: drives behind a port whose bytes come at the pace of a UART.
 
-A request ends when its bytes would have passed the wire, the reply begins after the drive's
+A request ends when its bytes would have passed the wire; the reply begins after the drive's
 turn-around. Modbus frames end and begin by silence: MODBUS over Serial Line V1.02, 2.5.1.1.
 """
 
@@ -25,9 +25,9 @@ from motord_hal.sim.rs485.port import MasterSettings, Port
 from motord_hal.sim.rs485.wire import Clock, Wire
 
 TURNAROUND_PART = 0.5
-"""Drives take half of the longest turn-around that their manual names."""
+"""Part of the longest turn-around in the manual that drives take."""
 GAP_TOLERANCE = 0.97
-"""A silence of this part of the due one is not too short: the clocks of both sides round."""
+"""Least part of the due silence that is long enough: the clocks of both sides round."""
 BABBLE_BYTES_MAX = 3
 
 
@@ -35,24 +35,24 @@ BABBLE_BYTES_MAX = 3
 class WireCounters:
     frames: int = 0
     bad_crc: int = 0
-    """Frames with a wrong check sum, torn ones, merged ones, and those at a baud rate or parity of
-    no unit here; of boards, pieces that were no set-points."""
+    """Number of frames with a wrong check sum, torn ones, merged ones, and those at a baud rate or
+    parity of no unit here; for boards, pieces that were no set-points."""
     replies: int = 0
     gap_violations: int = 0
-    """Boards have none: zeros separate their frames, not silence."""
+    """Number of frames after too short a silence. Boards have 0: zeros separate their frames."""
     bits_hit: int = 0
-    """Bits that noise has changed."""
+    """Number of bits that noise has changed."""
     plugged: int = 0
 
 
 @dataclass(slots=True)
 class LineCounters(WireCounters):
     unanswered: int = 0
-    """Requests for units that are absent, without power or silenced."""
+    """Number of requests for units that are absent, without power or silenced."""
 
 
 class SimulatedWire(abc.ABC):
-    """A master on the port, drives or boards on the wire behind it."""
+    """A master on the port, and drives or boards on the wire behind it."""
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class SimulatedWire(abc.ABC):
         """Drop bytes in transit."""
 
     def plug(self) -> None:
-        """Plug it in, if it is not. Raises OSError."""
+        """Plug the line in, unless it is plugged. Raises OSError."""
         if not self.port.plugged:
             self.port.plug()
             self.counters.plugged += 1
@@ -101,7 +101,7 @@ class SimulatedWire(abc.ABC):
 
 
 class SimulatedLine(SimulatedWire):
-    """Half-duplex."""
+    """A half-duplex line."""
 
     counters: LineCounters
 
@@ -126,7 +126,7 @@ class SimulatedLine(SimulatedWire):
 
     # ------------------------------------------------------------------------------- the poll loop
     def due_s(self, now_s: float) -> float:
-        """When `work` has to be called next, bytes or not."""
+        """Return the time of the next call of `work`, with or without bytes."""
         if not self.port.plugged:
             return math.inf
         due_s = min(self._frame_ends_s, self.wire.due_s(), self.port.due_s(now_s))
@@ -136,8 +136,8 @@ class SimulatedLine(SimulatedWire):
         return due_s
 
     def work(self, now_s: float, clock: Clock | None = None) -> None:
-        """Take in what has come, do what is due. `clock` gives the time meanwhile; without
-        it, it stands still."""
+        """Take in what has come, and do what is due. `clock` returns the time meanwhile; without
+        it, the time stands still."""
         if not self.port.plugged:
             return
         clock = clock or (lambda: now_s)
@@ -149,8 +149,8 @@ class SimulatedLine(SimulatedWire):
 
     # ----------------------------------------------------------------------------- from the master
     def _take_in(self, now_s: float, clock: Clock) -> bool:
-        """Whether a master is connected. Bytes are stamped behind the read, so that a silence is
-        never measured shorter than it was."""
+        """Take in bytes. Return whether a master is connected. Bytes are stamped after the read, so
+        that a silence is never measured shorter than it was."""
         data = self.port.take_in(now_s)
         if data is None:
             self._unresponsive()
@@ -174,7 +174,7 @@ class SimulatedLine(SimulatedWire):
         return self._framing.whole(frame)
 
     def _follow_settings(self) -> None:
-        """The wire runs at the master's baud rate."""
+        """Make the wire run at the master's baud rate."""
         self._master = self.port.settings()
         baudrate = self.spec.baudrate if self._master is None else self._master.baudrate
         self.wire.character_s = self._bits / baudrate
@@ -202,7 +202,8 @@ class SimulatedLine(SimulatedWire):
         self._answer(frame, ended_s, now_s)
 
     def _due_gap_s(self, drive: SimulatedDrive | None) -> float:
-        """The silence of the drive's profile, else of the robot file, else of the standard."""
+        """Return the silence of the drive's profile, else of the robot file, else of the
+        standard."""
         if drive is None or (drive.profile.gap is Gap.SPEC and drive.profile.gap_s is None):
             return line_gap_s(self.spec)
         return drive_gap_s(drive.profile, self.spec)
@@ -265,8 +266,8 @@ class SimulatedLine(SimulatedWire):
         self.counters.replies += 1
 
     def _babble(self, now_s: float, *, connected: bool) -> None:
-        """Bytes out of nothing: the master receives them, and so do the drives while a request
-        comes in."""
+        """Put random bytes on the wire if a fault demands it. The master receives them, and so do
+        the drives while a request comes in."""
         for fault in self._script.faults:
             if fault.kind != "babble" or now_s < fault.waits_until_s:
                 continue

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bit errors on a wire: independent of each other, at a bit-error rate."""
+"""Bit errors on a wire. They are independent of each other and have a bit-error rate."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import random
 
 
 def disturb(data: bytes, ber: float, bits: int, source: random.Random) -> tuple[bytes, int]:
-    """The received bytes, and how many bits were hit. A character has `bits` on the wire: a
-    hit start, parity or stop bit loses it (the receiver sees a framing or parity error), a hit data
-    bit is flipped."""
+    """Return the received bytes, and the number of bits that were hit. A character has `bits` on
+    the wire: a hit start, parity or stop bit loses it (the receiver sees a framing or parity
+    error), a hit data bit is flipped."""
     if ber <= 0.0:
         return data, 0
     received: list[int | None] = list(data)
@@ -26,6 +26,6 @@ def disturb(data: bytes, ber: float, bits: int, source: random.Random) -> tuple[
 
 
 def _next_hit(ber: float, source: random.Random) -> int:
-    """Good bits before the next bad one: geometric (Devroye, Non-Uniform Random Variate
-    Generation, 1986, X.2)."""
+    """Return the number of good bits before the next bad one: geometric (Devroye, Non-Uniform
+    Random Variate Generation, 1986, X.2)."""
     return math.floor(math.log(1.0 - source.random()) / math.log1p(-ber))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a line's bytes come in and go out, and the pseudo-terminal, which is the usual one."""
+"""The end of a line where bytes come in and go out, and the usual one: a pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from types import MappingProxyType
 from typing import Protocol
 
 ABSENT_RETRY_S = 0.005
-"""How often to look whether a program has opened the port."""
+"""Interval between looks whether a program has opened the port."""
 
 _RATES = (300, 600, 1200, 2400, 4800, 9600, 19200, 57600, 115200, 230400, 460800, 500000, 576000)
 _FAST_RATES = (921600, 1000000, 1152000, 1500000, 2000000, 2500000, 3000000, 3500000, 4000000)
 _BAUDRATES = MappingProxyType({getattr(termios, f"B{r}"): r for r in (*_RATES, *_FAST_RATES)})
-"""Without 38400, the rate of a pseudo-terminal that was never set up."""
+"""Baud rates by termios constant, without 38400, the rate of a pseudo-terminal that was never set
+up."""
 
 
 @dataclass(frozen=True, slots=True)
 class MasterSettings:
-    """How the other side has set up its port."""
+    """Settings that the other side has made on its port."""
 
     baudrate: int
     odd_parity: bool
@@ -34,11 +35,11 @@ class Port(Protocol):
     """One end of a line. `take_in` and `put` never wait."""
 
     segments_s: float
-    """Pause between the pieces of what is sent; only TCP has pieces."""
+    """Pause between the pieces of what is sent. Only TCP has pieces."""
 
     @property
     def address(self) -> str:
-        """The port's name in a robot file."""
+        """Name of the port in a robot file."""
 
     @property
     def plugged(self) -> bool: ...
@@ -47,29 +48,30 @@ class Port(Protocol):
         """Open the port. Raises OSError."""
 
     def pull(self) -> None:
-        """Remove the port: a connected program gets a hang-up."""
+        """Remove the port. A connected program gets a hang-up."""
 
     def filenos(self, now_s: float) -> list[int]:
-        """What to wait for with select."""
+        """Return the descriptors to wait for with select."""
 
     def due_s(self, now_s: float) -> float:
-        """The time at which `take_in` has to be called without a ready file."""
+        """Return the time at which `take_in` has to be called without a ready file."""
 
     def take_in(self, now_s: float) -> bytes | None:
-        """Bytes that have come; None: no program is connected."""
+        """Return the bytes that have come; None: no program is connected."""
 
     def put(self, data: bytes, now_s: float) -> int:
-        """Send; returns how many bytes went. Bytes without a reader are lost, as in a UART's full
-        buffer."""
+        """Send bytes; return how many were sent. Bytes without a reader are lost, as in a UART's
+        full buffer."""
 
     def settings(self) -> MasterSettings | None:
-        """None: they were never set, or there are none."""
+        """Return the master's settings; None: they were never set, or the port has none."""
 
     def hold_reply(self) -> bool:
-        """Hold the next reply back until the next request, if the port itself pairs them."""
+        """Hold the next reply back until the next request. Return False if the port does not pair
+        them."""
 
     def stall(self, until_s: float) -> None:
-        """Let nothing pass until then."""
+        """Let nothing pass until `until_s`."""
 
     def forget(self) -> None:
         """Drop the connections silently."""
@@ -93,7 +95,7 @@ class PtyPort:
         return self._fd is not None
 
     def plug(self) -> None:
-        """A new pty, and the link to it."""
+        """Make a new pty, and the link to it."""
         if self.link.exists() and not self.link.is_symlink():
             raise FileExistsError(errno.EEXIST, "is in the place of a line's port", str(self.link))
         try:
@@ -102,8 +104,8 @@ class PtyPort:
             why = f"{error.strerror}: a simulated port is a pseudo-terminal; is devpts mounted?"
             raise OSError(error.errno, why, "/dev/ptmx") from None
         os.set_blocking(self._fd, False)
-        # A pty's modes are set from its master as well, so nothing keeps the other side open and a
-        # client that goes away is seen.
+        # The master sets a pty's modes, too: nothing keeps the other side open, and a client
+        # that goes away is seen.
         tty.setraw(self._fd)
         fresh = self.link.with_name(f".{self.link.name}.{os.getpid()}")
         fresh.unlink(missing_ok=True)
@@ -113,7 +115,7 @@ class PtyPort:
         self._absent_until_s = -math.inf
 
     def pull(self) -> None:
-        """The adapter is gone, with its device file: a program that has the port open gets a
+        """Remove the adapter and its device file. A program that has the port open gets a
         hang-up."""
         if self._fd is None:
             return
@@ -150,8 +152,8 @@ class PtyPort:
             return 0
 
     def settings(self) -> MasterSettings | None:
-        """The kernel's pty keeps speed, stop bits and PARODD, but clears PARENB (drivers/tty/pty.c,
-        pty_set_termios), so even parity looks like none."""
+        """Return the modes in the kernel's pty. It keeps speed, stop bits and PARODD, but clears
+        PARENB (drivers/tty/pty.c, pty_set_termios), so even parity looks like none."""
         if self._fd is None:
             return None
         modes = termios.tcgetattr(self._fd)
@@ -163,7 +165,7 @@ class PtyPort:
         return False
 
     def stall(self, until_s: float) -> None:
-        """A serial port does not stall."""
+        """Do nothing: a serial port does not stall."""
 
     def forget(self) -> None:
-        """A serial port has no connections."""
+        """Do nothing: a serial port has no connections."""

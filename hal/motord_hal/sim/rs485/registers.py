@@ -18,7 +18,7 @@ BUSY = 6
 
 
 class Refusal(Exception):
-    """The drive answers with this exception code."""
+    """Refusal of a request. The drive answers with this exception code."""
 
     def __init__(self, code: int, message: str) -> None:
         super().__init__(message)
@@ -26,8 +26,8 @@ class Refusal(Exception):
 
 
 def raw_of(register: Register, value: float) -> int:
-    """Raw value of a physical one as a drive reports it: a value that does not fit is clipped, and
-    an unsigned register drops the sign."""
+    """Return the raw value of a physical one as a drive reports it. A value that does not fit is
+    clipped, and an unsigned register drops the sign."""
     low, high = register.raw_range
     if register.mask is not None:
         bits = register.mask.bit_count()
@@ -37,7 +37,7 @@ def raw_of(register: Register, value: float) -> int:
 
 
 class Registers(Protocol):
-    """The registers, for the simulated drive itself."""
+    """Interface of the registers for the simulated drive itself."""
 
     def power_up(self) -> None: ...
 
@@ -62,28 +62,28 @@ class RegisterFile:
         self.power_up()
 
     def power_up(self) -> None:
-        """All registers at their defaults."""
+        """Set all registers to their defaults."""
         self._words = dict.fromkeys(self._at, 0)
         for register in self._profile.registers.values():
             self._store(register, register.default)
 
     def make_live(self, name: str, value: Callable[[], int]) -> None:
-        """Raw value of this register comes from `value` from now on."""
+        """Make `value` return this register's raw value from now on."""
         self._live[name] = value
 
     def stored(self, name: str) -> int:
-        """Raw value that was written last, or the one at power-up, signed like the register."""
+        """Return the raw value written last, or that at power-up, signed like the register."""
         register = self._profile.registers[name]
         words, at = self._words, register.address
         both = (words[at], words[at + 1]) if register.type.words == 2 else (words[at],)
         return register.decode(both)
 
     def put(self, name: str, raw: int) -> None:
-        """The drive itself changes a register."""
+        """Change a register from the drive's side."""
         self._store(self._profile.registers[name], raw)
 
     def read(self, address: int, count: int) -> tuple[int, ...]:
-        """Words for a reply. Raises Refusal."""
+        """Return the words for a reply. Raises Refusal."""
         self._check_count(count)
         words = {}
         for at in range(address, address + count):
@@ -105,8 +105,8 @@ class RegisterFile:
         return word & ~register.mask | raw * (register.mask & -register.mask) & register.mask
 
     def write(self, address: int, words: tuple[int, ...]) -> list[tuple[str, int]]:
-        """Store the words; returns the raw values by register, in the order of their addresses. If
-        one is refused, nothing is stored."""
+        """Store the words; return the raw values by register, in the order of their addresses. If
+        one is refused, nothing is stored. Raises Refusal."""
         self._check_count(len(words))
         values = []
         at = address

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulated bus servos: their control table, their packets, and their line.
 
-The behaviour is from the makers' manuals: a sync read is answered by each servo in the order of the
-request; a broadcast write by none. A Dynamixel refuses what is out of range, its EEPROM while it
-has torque (access error), and goal values after its bus watchdog has bitten, until 0 is written to
-that (ROBOTIS e-Manual, XL430-W250, 2.4: Bus Watchdog (98)). A servo of Feetech's SCS series is a
-motor only while both its angle limits are 0, and writes below address 40 survive a power cut only
-while the lock is open (`ftservo-python-sdk`, scscl.py).
+The behaviour is from the makers' manuals. Each servo answers a sync read in the order of the
+request; no servo answers a broadcast write. A Dynamixel refuses values out of range, its EEPROM
+while it has torque (access error), and goal values after its bus watchdog has expired, until 0 is
+written to that (ROBOTIS e-Manual, XL430-W250, 2.4: Bus Watchdog (98)). A servo of Feetech's SCS
+series is a motor only while both its angle limits are 0, and writes below address 40 survive a
+power cut only while the lock is open (`ftservo-python-sdk`, scscl.py).
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from motord_hal.sim.rs485.content import ControlTable
 from motord_hal.sim.rs485.drive import SimulatedDrive
 
 EEPROM_END = 64
-"""Of Dynamixels: addresses below are kept without power, and locked by torque."""
+"""End of a Dynamixel's EEPROM: lower addresses are kept without power, and locked by torque."""
 ANGLE_LIMITS, LOCK = ("minimum_angle", "maximum_angle"), "lock"
-"""Registers of an SCS profile for motors."""
+"""Registers in an SCS profile for motors."""
 SCS_EEPROM_END = 40
 RANGE_ERROR, LENGTH_ERROR, ACCESS_ERROR, INSTRUCTION_ERROR = 4, 5, 7, 2
 REBOOT_S = 0.1
-"""How long a rebooting servo receives nothing."""
+"""Time for which a rebooting servo receives nothing."""
 
 
 class ServoError(Exception):
-    """The servo answers with this error number."""
+    """Error with which the servo answers, by its number."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -47,7 +47,7 @@ class ServoError(Exception):
 
 
 class SimulatedServo(SimulatedDrive):
-    """One servo: its profile, and its packets."""
+    """One servo with its profile and its packets."""
 
     registers: ControlTable
 
@@ -55,18 +55,19 @@ class SimulatedServo(SimulatedDrive):
         self, profile: DriveProfile, unit: int, axes: Mapping[int, Axis], *, watchdog_s: float = 0.0
     ) -> None:
         super().__init__(profile, unit, axes, watchdog_s=watchdog_s)
-        # a goal velocity of zero holds the wheel; it does not end anything
+        # a goal velocity of zero holds the wheel; it ends nothing
         self._sequences.pop("quick_stop", None)
         self.packets = packets_of(profile.protocol)
         self._strict = profile.protocol == "dynamixel"
         self._scs_motor = has_no_sync_read(profile) and not profile.goes_to_positions
         self._saved: dict[str, int] = {}
-        """The values that an SCS servo keeps through a power cut."""
+        """Values that an SCS servo keeps through a power cut."""
         self._now_s = 0.0
 
     # ------------------------------------------------------------------------------- the wire
     def execute_packet(self, packet: Packet, now_s: float) -> bytes | None:
-        """Carry out a packet for this servo, or for all; returns the status, None: it is silent."""
+        """Carry out a packet for this servo, or for all. Return the status, or None: the servo is
+        silent."""
         error, data = self.outcome_of(packet, now_s)
         pinged = packet.code == Instruction.PING and self._strict
         if packet.unit == BROADCAST_UNIT and packet.code != Instruction.SYNC_READ and not pinged:
@@ -74,7 +75,7 @@ class SimulatedServo(SimulatedDrive):
         return self.packets.build_status(self.unit, error, data)
 
     def outcome_of(self, packet: Packet, now_s: float) -> tuple[int, bytes]:
-        """The same; returns error and data of its status."""
+        """Carry out a packet like `execute_packet`; return error and data of its status."""
         self.stats.requests += 1
         self._received_s = self._now_s = now_s
         error, data = 0, b""
@@ -170,7 +171,8 @@ class SimulatedServo(SimulatedDrive):
         return on and not self._bitten and super()._watchdog_bites(now_s)
 
     def _brake(self) -> None:
-        """Its watchdog has bitten: a Dynamixel holds a velocity of zero, with torque."""
+        """Stop because the watchdog has expired: a Dynamixel holds a velocity of zero, with
+        torque."""
         if self.profile.watchdog is None:
             super()._brake()
             return
@@ -183,7 +185,7 @@ class SimulatedServo(SimulatedDrive):
 def answer_servos(
     packet: Packet, drives: Mapping[int, SimulatedDrive], now_s: float
 ) -> list[tuple[SimulatedServo, bytes]]:
-    """Carry out a good packet on the servos of a line; returns their answers, in their order."""
+    """Carry out a good packet on a line's servos; return their answers, in their order."""
     servos = {unit: drive for unit, drive in drives.items() if isinstance(drive, SimulatedServo)}
     servos = {unit: servo for unit, servo in servos.items() if servo.on}
     if packet.code == Instruction.FAST_SYNC_READ:
@@ -208,7 +210,8 @@ def answer_servos(
 def _answer_together(
     packet: Packet, servos: Mapping[int, SimulatedServo], now_s: float
 ) -> list[tuple[SimulatedServo, bytes]]:
-    """Each servo waits for the one before it: a missing servo ends the packet."""
+    """Answer a fast sync read. Each servo waits for the previous one: a missing servo ends the
+    packet."""
     asked, answers = _asked(packet, servos), []
     for unit in asked:
         servo = servos.get(unit)
@@ -221,7 +224,7 @@ def _answer_together(
 
 
 def _asked(packet: Packet, servos: Mapping[int, SimulatedServo]) -> bytes:
-    """The units that a sync read names."""
+    """Return the units that a sync read names."""
     for servo in servos.values():
         return packet.parameters[2 * len(servo.packets.number(0)) :]
     return b""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line of simulated bus servos: packets end by their length, not by silence, and one
-request may be answered by many."""
+"""A line of simulated bus servos. Packets end by their length, not by silence, and many servos may
+answer one request."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from motord_hal.sim.rs485.servo import answer_servos
 
 
 class SimulatedServoLine(SimulatedLine):
-    """Half-duplex, as SimulatedLine."""
+    """A half-duplex line of servos."""
 
     @functools.cached_property
     def _servo_framing(self) -> ServoFraming:
@@ -38,7 +38,7 @@ class SimulatedServoLine(SimulatedLine):
                 ended_s = self._execute(packet, ended_s, now_s)
 
     def _execute(self, packet: Packet, ended_s: float, now_s: float) -> float:
-        """Let the servos answer; returns when they have ended."""
+        """Make the servos answer; return the time when they have ended."""
         hearing = {
             unit: drive
             for unit, drive in self.drives.items()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All units of one line as one function: a frame in, the answer or None out."""
+"""All units of one line as one function, from a frame to the answer or None."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Answer:
 
 
 def answer(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float) -> Answer | None:
-    """Carry out a whole frame with a good CRC. None: no unit answers, because it is a broadcast, or
-    its unit is absent or without power."""
+    """Carry out a whole frame with a good CRC. Return None if no unit answers: it is a broadcast,
+    or its unit is absent or without power."""
     unit, function = frame[0], frame[1]
     if unit == BROADCAST_UNIT:
         _broadcast(frame, drives, now_s)
@@ -50,7 +50,8 @@ def answer(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float) -> 
 
 
 def _broadcast(frame: bytes, drives: Mapping[int, SimulatedDrive], now_s: float) -> None:
-    """Serial Line V1.02, 2.1: writes for all, without an answer, even if refused."""
+    """Carry out a write on all units, without an answer, even if refused: Serial Line V1.02,
+    2.1."""
     try:
         request = parse_request(frame)
     except FrameError:

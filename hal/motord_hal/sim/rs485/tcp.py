@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line behind a TCP socket: the connections, and raw Modbus RTU through them as serial servers
-pass it."""
+"""Ports of a line behind a TCP socket: the connections, and raw Modbus RTU through them, as serial
+servers pass it."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ class Client:
 
 
 class TcpPort:
-    """A listening socket and its connections; subclasses define what they carry."""
+    """A listening socket and its connections. Subclasses define what they carry."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Port 0: any; it stays the same when the plug is pulled and put in again."""
+        """Set the port up. Port 0: any free one, which stays the same when the plug is pulled and
+        put in."""
         self.segments_s = 0.0
         self._host, self._port = host, port
         self._listener: socket.socket | None = None
@@ -54,7 +55,7 @@ class TcpPort:
         self._listener, self._port = listener, listener.getsockname()[1]
 
     def pull(self) -> None:
-        """The gateway loses its power: all connections are reset or closed."""
+        """Remove the gateway's power: all connections are reset or closed."""
         for client in [*self._clients, *self._forgotten]:
             client.socket.close()
         self._clients.clear()
@@ -90,7 +91,7 @@ class TcpPort:
 
     # --------------------------------------------------------------------------------- in detail
     def _accept(self) -> list[Client]:
-        """A client that has connected."""
+        """Accept waiting clients, and return them."""
         fresh = []
         while self._listener is not None:
             try:
@@ -104,7 +105,7 @@ class TcpPort:
         return fresh
 
     def _receive(self, client: Client) -> bytes:
-        """The bytes that it sent; a closed connection is removed."""
+        """Return the bytes that a client sent. A closed connection is removed."""
         try:
             data = client.socket.recv(RECEIVE_BYTES)
         except BlockingIOError:
@@ -142,8 +143,8 @@ class TcpPort:
 
 
 class RawTcpPort(TcpPort):
-    """RTU frames as a stream. The newest connection has the line, the one before is closed: so a
-    client that has lost its connection can connect again."""
+    """RTU frames as a stream. The newest connection has the line, and the previous one is closed:
+    so a client that has lost its connection can connect again."""
 
     def take_in(self, now_s: float) -> bytes | None:
         if now_s < self._stalled_until_s:

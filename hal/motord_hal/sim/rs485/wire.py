@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a line sends, byte by byte at the baud rate, and how late it was at that.
+"""The wire of a line: bytes go out one by one at the baud rate, and lateness is measured.
 
-A pty carries a frame in no time. Here each byte comes when the wire would have brought it, in
-pieces of about a millisecond, as from a UART's receive buffer.
+A pty carries a frame in no time. Here each byte comes at its time on a real wire, in pieces of
+about a millisecond, as from a UART's receive buffer.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from motord_hal.sim.rs485.port import Port
 Clock = Callable[[], float]
 PIECE_S = 0.001
 ROUNDING_CHARACTERS = 0.0005
-"""Tolerance, so that a rounding error delays nothing that is due now."""
+"""Tolerance so that a rounding error delays nothing that is due now."""
 LATENESS_KEPT = 20_000
-"""The percentiles are of this many newest frames."""
+"""Number of newest frames that the percentiles include."""
 
 
 @dataclass(slots=True)
@@ -31,7 +31,7 @@ class _Outgoing:
 
 @dataclass(slots=True)
 class Lateness:
-    """By how much the last byte of a frame came after its time."""
+    """Delay of the last byte of a frame behind its time."""
 
     _late_us: deque[float] = field(default_factory=lambda: deque(maxlen=LATENESS_KEPT))
 
@@ -39,7 +39,7 @@ class Lateness:
         self._late_us.append(late_s * 1e6)
 
     def percentiles(self) -> dict[str, float]:
-        """p50, p99 and the worst, microseconds; empty before the first frame."""
+        """Return p50, p99 and the worst, in microseconds; empty before the first frame."""
         if not self._late_us:
             return {}
         ranked = sorted(self._late_us)
@@ -52,7 +52,8 @@ class Lateness:
 
 
 class Wire:
-    """The half-duplex pair as the drives drive it. `free_s`: when its last byte was over."""
+    """The half-duplex pair, from the drives' side. `free_s` is the time when its last byte was
+    over."""
 
     def __init__(self, port: Port, character_s: float) -> None:
         self.character_s = character_s
@@ -67,7 +68,7 @@ class Wire:
         self._outgoing: deque[_Outgoing] = deque()
 
     def receive(self, count: int, now_s: float) -> None:
-        """The master has put this many bytes on the wire."""
+        """Add `count` bytes that the master has put on the wire."""
         self.free_s = max(self.free_s, now_s) + count * self.character_s
 
     def send(self, frame: bytes, starts_s: float) -> None:
@@ -86,7 +87,7 @@ class Wire:
         return first.starts_s + upto * self.character_s
 
     def work(self, clock: Clock) -> None:
-        """Send what is due."""
+        """Send the bytes that are due."""
         while self._outgoing and self._port.plugged:
             first = self._outgoing[0]
             now_s = clock()
