@@ -36,14 +36,14 @@ DeratedBy = str
 GyroState = str
 '''
 CLASSES = (
-    ("joint_state", "JointSnapshot", "One wheel. NaN, None: its drive does not report that."),
+    ("joint_state", "JointSnapshot", "State of one joint. NaN, None: not reported by its drive."),
     ("joint_state", "JointStatus", "A JointSnapshot, as the answer of `status` has it."),
-    ("imu_state", "ImuSnapshot", "About the base's x, y, z. NaN: not measured, or not known yet."),
+    ("imu_state", "ImuSnapshot", "IMU in the base's x, y, z. NaN: not measured, or unknown yet."),
     ("imu_state", "ImuStatus", "An ImuSnapshot, as the answer of `status` has it."),
     ("feedback_doubt", "DoubtSnapshot", "Why a fault says that the feedback is not believed."),
-    ("derating_shown", "DeratingSnapshot", "The joint, by its place, that slows the base most."),
-    ("speed_loop_shown", "SpeedLoopSnapshot", "Of one wheel: a torque in N m, or a duty."),
-    ("robot_state", "PlainSnapshot", "The robot as a whole: what is no structure by itself."),
+    ("derating_shown", "DeratingSnapshot", "The derating of the joint that slows the base most."),
+    ("speed_loop_shown", "SpeedLoopSnapshot", "One wheel's speed loop: torque in N m, or duty."),
+    ("robot_state", "PlainSnapshot", "State of the robot as a whole, without its sub-structures."),
 )
 KINDS = {
     "int64_t": (8, "I64"), "uint64_t": (8, "U64"), "uint32_t": (4, "U32"), "double": (8, "float"),

@@ -51,8 +51,8 @@ enum {
     REASON_POSITION_UNKNOWN = 1 << 24, /* a joint's position is unknown: see
                                           robot_state.steering.unknown */
     REASON_DERATED = 1 << 25,          /* [joint] derating: see robot_state.derating */
-    REASON_JOINT_VELOCITY = 1 << 26, /* for joints without a base, like the next two:
-                                        velocity_max_rad_s of a joint */
+    REASON_JOINT_VELOCITY = 1 << 26,   /* for joints without a base, like the next two:
+                                          velocity_max_rad_s of a joint */
     REASON_JOINT_ACCELERATION = 1 << 27, /* acceleration, deceleration or jerk of a joint */
     REASON_JOINT_POSITION = 1 << 28, /* position_min_rad or position_max_rad: the joint goes to that
                                         end */
@@ -124,10 +124,10 @@ typedef struct {
 } wheel_row;
 
 typedef struct {
-    double dead_band;  /* 0..1: duty at which the motor just turns; the output jumps over it */
-    double duty_min;   /* -1..0: 0 for an output that cannot reverse */
-    double duty_max;   /*  0..1 */
-    double slew_per_s; /* > 0; limits only growth away from zero; INFINITY: no limit */
+    double dead_band;       /* 0..1: duty at which the motor just turns; the output jumps over it */
+    double duty_min;        /* -1..0: 0 for an output that cannot reverse */
+    double duty_max;        /*  0..1 */
+    double slew_per_s;      /* > 0; limits only growth away from zero; INFINITY: no limit */
     double full_duty_rad_s; /* > 0: wheel speed at duty 1 (open-loop map) */
 } pwm_config;
 
@@ -227,8 +227,8 @@ typedef struct {
     uint32_t enabled;      /* 1: the drive reports enabled; 0: not enabled; 2: it cannot report
                               it */
     uint32_t drive_faults; /* the drive's fault word; 0: no fault */
-    uint32_t referenced; /* 1: the drive reports that its counter has a reference (homed); 0: that
-                            it has no reference; 2: it cannot report it */
+    uint32_t referenced;   /* 1: the drive reports that its counter has a reference (homed); 0: that
+                              it has no reference; 2: it cannot report it */
 } joint_feedback;
 
 typedef struct {

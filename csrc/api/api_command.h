@@ -132,8 +132,8 @@ typedef struct {
     const base_limits *limits;
     uint64_t comers;       /* leases that have become active so far */
     int64_t last_stamp_ns; /* stamp of the previous command */
-    int64_t resumed_ns; /* commands from before this time are refused; 0: the computer was never
-                           suspended */
+    int64_t resumed_ns;    /* commands from before this time are refused; 0: the computer was never
+                              suspended */
     command_report report;
 } arbiter;
 

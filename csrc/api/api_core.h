@@ -203,9 +203,9 @@ typedef struct {
     uint32_t slow;      /* every wheel with feedback is slower than rest_velocity_rad_s */
     uint32_t at_rest;   /* after the last tick */
     uint32_t slewed;    /* 1: a joint has a duty slew */
-    uint32_t axes;    /* number of the base's axes: AXES, or without the last one, the lateral
-                         axis */
-    uint32_t steered; /* 1: a base with modules */
+    uint32_t axes;      /* number of the base's axes: AXES, or without the last one, the lateral
+                           axis */
+    uint32_t steered;   /* 1: a base with modules */
     uint32_t positions; /* 1: a joint takes positions */
     uint32_t extras;    /* not 0: the base has positions, a gyro or speed loops */
     /* bit n: joint n has a speed loop that its gains make do something */

@@ -41,11 +41,11 @@ typedef struct {
  * are valid only while it holds. */
 typedef struct {
     int64_t since_ns[REASONS_MAX]; /* start times by bit; 0: the reason does not hold */
-    uint32_t saturated_joint; /* REASON_WHEEL_SATURATED: the joint that has to be slowed down
-                                 most */
-    uint32_t duty_clamped;    /* joints that cause REASON_DUTY_CLAMPED */
-    uint32_t duty_slew;       /* REASON_DUTY_SLEW: the joint whose slew rate bounds the ramp */
-    uint32_t joint_velocity;  /* joints that cause REASON_JOINT_VELOCITY; likewise the next two */
+    uint32_t saturated_joint;      /* REASON_WHEEL_SATURATED: the joint that has to be slowed down
+                                      most */
+    uint32_t duty_clamped;         /* joints that cause REASON_DUTY_CLAMPED */
+    uint32_t duty_slew;            /* REASON_DUTY_SLEW: the joint whose slew rate bounds the ramp */
+    uint32_t joint_velocity; /* joints that cause REASON_JOINT_VELOCITY; likewise the next two */
     uint32_t joint_acceleration;
     uint32_t joint_position;
 } reasons_shown;

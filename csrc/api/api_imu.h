@@ -18,8 +18,8 @@ typedef struct {
     uint32_t reserved;
     double timeout_s;      /* > 0: older samples are not used */
     double bias_max_rad_s; /* > 0: a greater zero-rate offset is a turn, or a broken sensor */
-    double still_variance_rad2_s2; /* > 0: if the rate varies by more, the base does not stand
-                                      still */
+    double still_variance_rad2_s2;      /* > 0: if the rate varies by more, the base does not stand
+                                           still */
     double heading_variance_rad2_per_s; /* > 0: of the integrated noise */
     double turn_variance_rad2_per_rad;  /* > 0: of the scale's error */
 } gyro_config;
@@ -73,9 +73,9 @@ typedef struct {
     int64_t used_ns;
     uint32_t used_epoch;
     uint32_t referenced; /* 1: the three fields above are up to date */
-    double opposed_rad; /* turn of wheels and gyro against each other, less their turn with each
-                           other */
-    uint32_t reversed;  /* latched: opposed_rad was too great */
+    double opposed_rad;  /* turn of wheels and gyro against each other, less their turn with each
+                            other */
+    uint32_t reversed;   /* latched: opposed_rad was too great */
     uint32_t reserved;
 } gyro_state;
 

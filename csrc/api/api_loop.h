@@ -137,9 +137,9 @@ typedef struct {
     int32_t dma_latency_errno;
     uint32_t reserved;
     uint64_t ticks;
-    uint64_t overruns;    /* periods skipped because the previous one was still running or the CPU
-                             was away */
-    uint64_t page_faults; /* page faults of the thread since its first tick, minor and major */
+    uint64_t overruns;      /* periods skipped because the previous one was still running or the CPU
+                               was away */
+    uint64_t page_faults;   /* page faults of the thread since its first tick, minor and major */
     int64_t tick_stamp_ns;  /* last tick */
     uint32_t estop_input;   /* ESTOP_* */
     uint32_t watchdog_well; /* 1: the watchdog's pin changes */
@@ -163,6 +163,6 @@ int loop_start(const loop_config *loop, const core_config *core);
 int loop_stop(void); /* last set-points zero and not enabled; 0 or -ESRCH */
 void loop_status_read(loop_status *out);
 int loop_histogram_read(uint32_t kind, histogram *out);
-int loop_histogram_clear(void);     /* a request; the loop does it at its next tick */
-int loop_late_take(late_tick *out); /* 1: the oldest late tick; 0: no more ticks. One reader */
+int loop_histogram_clear(void);        /* a request; the loop does it at its next tick */
+int loop_late_take(late_tick *out);    /* 1: the oldest late tick; 0: no more ticks. One reader */
 int loop_state_read(robot_state *out); /* like page_read, on the loop's own page */

@@ -19,9 +19,9 @@ typedef struct {
 } speed_loop_gains;
 
 typedef struct {
-    speed_loop_gains gains; /* until the control sets others */
-    double filter_s;        /* >= 0: time constant of the filter of the speed whose derivative is
-                               used */
+    speed_loop_gains gains;  /* until the control sets others */
+    double filter_s;         /* >= 0: time constant of the filter of the speed whose derivative is
+                                used */
     double correction_max_u; /* >= 0: largest difference of the output from its feed-forward */
     double output_min_u;     /* <= 0 */
     double output_max_u;     /* >= 0 */

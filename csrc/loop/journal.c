@@ -27,8 +27,8 @@ typedef struct {
     _Atomic uint32_t checkpoint_offset_bytes;
     _Atomic uint32_t checkpoint_bytes;
     _Atomic uint32_t writer_pid;
-    _Atomic uint64_t records; /* number of records so far; the newest is in slot (records - 1) %
-                                 JOURNAL_RECORDS */
+    _Atomic uint64_t records;     /* number of records so far; the newest is in slot (records - 1) %
+                                     JOURNAL_RECORDS */
     _Atomic uint64_t checkpoints; /* number of checkpoints so far */
 } journal_header;
 

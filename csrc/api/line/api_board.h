@@ -81,9 +81,9 @@ typedef enum {
 /* A piece of a template: literal_bytes of its literal, then a number. */
 typedef struct {
     uint32_t literal_bytes;
-    uint32_t form; /* board_number_form of printf's d, f, g; NONE: no number, only in the last
-                      part */
-    uint32_t sign; /* 0; '+' or ' ': put before numbers that are not negative */
+    uint32_t form;  /* board_number_form of printf's d, f, g; NONE: no number, only in the last
+                       part */
+    uint32_t sign;  /* 0; '+' or ' ': put before numbers that are not negative */
     uint32_t zeros; /* 1: filled up with zeros */
     uint32_t width;
     uint32_t precision;
@@ -96,8 +96,8 @@ typedef struct {
 
 typedef struct {
     uint32_t part_count; /* 0: no such text */
-    uint32_t json; /* read: 1: a JSON object; a part's literal is the name of a member, in any
-                      order; others are skipped */
+    uint32_t json;       /* read: 1: a JSON object; a part's literal is the name of a member, in any
+                            order; others are skipped */
     board_part part[BOARD_PARTS_MAX];
     uint8_t literal[BOARD_TEXT_MAX]; /* of all parts, one after the other; any white space matches
                                         any other */
@@ -130,11 +130,11 @@ typedef struct {
     uint32_t unit_count; /* SABERTOOTH: drivers on the wire, which move and stop as one drive */
     uint8_t unit[SABERTOOTH_UNITS_MAX]; /* addresses of the drivers, in rising order */
     uint32_t reserved;
-    int64_t period_ns; /* period of the cycle: > 0 */
-    int64_t gap_ns; /* least time from the beginning of a frame to that of the next: the wire
-                       carries one at a time */
-    int64_t silence_ns;          /* time without feedback after which the board is unresponsive: >
-                                    0 */
+    int64_t period_ns;  /* period of the cycle: > 0 */
+    int64_t gap_ns;     /* least time from the beginning of a frame to that of the next: the wire
+                           carries one at a time */
+    int64_t silence_ns; /* time without feedback after which the board is unresponsive: >
+                           0 */
     int64_t setpoint_timeout_ns; /* age of set-points that causes a quick stop */
     double rest_velocity_rad_s;  /* a wheel slower than this is at rest: > 0 */
     int64_t watchdog_ns; /* time without set-points while armed after which the board has stopped;

@@ -86,8 +86,8 @@ typedef struct {
 
 /* --------------------------------------------------------- pure: the levels of the pins */
 typedef struct {
-    drive_state drive; /* state of all joints. Without a set-up it is READY from the first step
-                          on */
+    drive_state drive;      /* state of all joints. Without a set-up it is READY from the first step
+                               on */
     int64_t brake_until_ns; /* end of the braking, while it is stopping */
     int64_t last_ns;        /* time of the previous step */
     uint64_t enabled_count; /* number of times that the set-points became enabled: the caller writes

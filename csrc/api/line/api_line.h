@@ -24,22 +24,25 @@ enum {
     LINE_REQUESTS_MAX = 8
 };
 
+/* The check at the end of a frame. */
 typedef enum {
     SEAL_NONE = 0,
+    /* Modbus over Serial Line V1.02, 2.5.1.2: last two bytes, low one first */
     SEAL_CRC16 = 1,
+    /* CRC-8/MAXIM (reflected 0x31): last byte */
     SEAL_CRC8 = 2,
+    /* CRC-16/XMODEM (0x1021, not reflected, start 0): last two bytes, high one first */
     SEAL_XMODEM = 3,
+    /* of a reply: SEAL_XMODEM over the request's first two bytes and the reply (RoboClaw packet
+     * serial) */
     SEAL_WITH_REQUEST = 4,
+    /* the inverted sum of all bytes after the first two: last byte (Feetech servos, protocol 0) */
     SEAL_SUM = 5,
+    /* Dynamixel protocol 2.0: CRC-16 (0x8005, not reflected, start 0): last two bytes, low one
+     * first. On the wire, another FD follows each FF FF FD inside a packet; the length counts it,
+     * byte numbers do not */
     SEAL_STUFFED = 6
 } frame_seal;
-/* CRC16 Modbus over Serial Line V1.02, 2.5.1.2: last two bytes, low one first CRC8 CRC-8/MAXIM
- * (reflected 0x31): last byte XMODEM CRC-16/XMODEM (0x1021, not reflected, start 0): last two
- * bytes, high one first WITH_REQUEST for a reply: the same over the request's first two bytes and
- * the reply (RoboClaw packet serial) SUM the inverted sum of all bytes after the first two: last
- * byte (Feetech bus servos, protocol 0) STUFFED CRC-16 (0x8005, not reflected, start 0): last two
- * bytes, low one first. On the wire, another FD follows each FF FF FD inside a packet, and the
- * length counts it (Dynamixel protocol 2.0). Byte numbers are those without it */
 
 /* A request, and how its answer is recognised. */
 typedef struct {
@@ -151,10 +154,10 @@ typedef struct {
     uint32_t mask;  /* adjacent bits that hold the value; 0: all of them */
     uint32_t equals_mask;
     uint32_t equals;
-    uint32_t direction;     /* VELOCITY without sign: 1 + number of the direction whose newest
-                               reverse negates it; 0: none */
-    double si_per_raw;      /* sign, gear, scale */
-    uint32_t harmless_bits; /* FAULT: bits that are only warnings */
+    uint32_t direction;      /* VELOCITY without sign: 1 + number of the direction whose newest
+                                reverse negates it; 0: none */
+    double si_per_raw;       /* sign, gear, scale */
+    uint32_t harmless_bits;  /* FAULT: bits that are only warnings */
     uint32_t harmless_codes; /* FAULT: > 0: the word is a number, and so many entries of harmless[]
                                 are only warnings */
     uint32_t is_code;        /* FAULT: 1: the word is a number, 0: bits */
@@ -270,8 +273,8 @@ enum {
     DRIVE_FAULT_DISABLED_ITSELF = 1 << 4, /* armed, but the drive reports that it is not enabled:
                                              OFF */
     DRIVE_FAULT_UNRESPONSIVE = 1 << 5,
-    DRIVE_FAULT_STILL_ENABLED = 1 << 6, /* not armed, but the drive reports that it is enabled: it
-                                           gets a disarm, and is held at zero */
+    DRIVE_FAULT_STILL_ENABLED = 1 << 6,   /* not armed, but the drive reports that it is enabled: it
+                                             gets a disarm, and is held at zero */
     DRIVE_FAULT_POSITION_UNKNOWN = 1 << 7 /* the position of a drive that takes positions is
                                              unknown, or far from its first target: power off */
 };
@@ -332,9 +335,9 @@ typedef struct {
     uint32_t request_seen;  /* count of the last request that took effect */
     uint32_t enabled;       /* 1: yes, 0: no, 2: not reported since the newest request */
     uint32_t stopping; /* a quick stop was sent, and the wheels have not been seen at rest since */
-    uint32_t sent_motion; /* 1: it was sent set-points that are not zero, and has not acknowledged
-                             zero since */
-    uint32_t failures;    /* number of failures in a row */
+    uint32_t sent_motion;  /* 1: it was sent set-points that are not zero, and has not acknowledged
+                              zero since */
+    uint32_t failures;     /* number of failures in a row */
     uint32_t last_failure; /* answer_kind */
     uint32_t last_exception;
     uint32_t may_turn;   /* 1: armed since its newest set-up, also before the port was opened */

@@ -50,8 +50,8 @@ typedef struct {
     uint32_t known;                      /* ... has come since the drive was set up */
     int64_t silence_ns[CAN_INPUTS_MAX];  /* copy of the table's, in one place: read in each round */
     int64_t received_ns[CAN_INPUTS_MAX]; /* 0: never */
-    int64_t sample_ns[CAN_INPUTS_MAX]; /* stamp of the values in use; 0: no values since the drive
-                                          was set up */
+    int64_t sample_ns[CAN_INPUTS_MAX];   /* stamp of the values in use; 0: no values since the drive
+                                            was set up */
     uint8_t held[CAN_OUTPUTS_MAX][CAN_BYTES_MAX];
     uint8_t last_sent[CAN_OUTPUTS_MAX][CAN_BYTES_MAX]; /* newest content of each set-point frame */
     uint64_t cycles;

@@ -22,7 +22,7 @@ PAGE_LAYOUT_VERSION = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JointSnapshot:
-    """One wheel. NaN, None: its drive does not report that."""
+    """State of one joint. NaN, None: not reported by its drive."""
 
     position_rad: float  # sum of all counted turns since start, never jumps
     velocity_rad_s: float  # measured, NaN before the first measure
@@ -58,17 +58,17 @@ class JointStatus:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImuSnapshot:
-    """About the base's x, y, z. NaN: not measured, or not known yet."""
+    """IMU in the base's x, y, z. NaN: not measured, or unknown yet."""
 
-    stamp_ns: I64  # of the newest sample; 0: none
+    stamp_ns: I64  # stamp of the newest sample; 0: no sample
     angular_rad_s: Doubles3  # about z without its zero-rate offset, once that is known
     acceleration_m_s2: Doubles3
     bias_rad_s: float  # zero-rate offset about z
     bias_variance_rad2_s2: float
-    rate_variance_rad2_s2: float  # of a sample about z
+    rate_variance_rad2_s2: float  # variance of a sample about z
     state: GyroState
-    heading_by_gyro: bool  # the newest turn in the pose is the gyro's, 0: the wheels'
-    still: bool  # the base stands, by wheels and gyro: the heading is held
+    heading_by_gyro: bool  # the newest turn in the pose is by the gyro, 0: by the wheels
+    still: bool  # the base stands still, by wheels and gyro: the heading is held
     refused: U32  # samples so far that were no numbers, off the scale or out of order
 
 
@@ -76,16 +76,16 @@ class ImuSnapshot:
 class ImuStatus:
     """An ImuSnapshot, as the answer of `status` has it."""
 
-    stamp_ns: int = 0  # of the newest sample; 0: none
+    stamp_ns: int = 0  # stamp of the newest sample; 0: no sample
     angular_rad_s: tuple[float | None, ...] = ()  # about z without its zero-rate offset, once that
     # is known
     acceleration_m_s2: tuple[float | None, ...] = ()
     bias_rad_s: float | None = None  # zero-rate offset about z
     bias_variance_rad2_s2: float | None = None
-    rate_variance_rad2_s2: float | None = None  # of a sample about z
+    rate_variance_rad2_s2: float | None = None  # variance of a sample about z
     state: str = ""
-    heading_by_gyro: bool = False  # the newest turn in the pose is the gyro's, 0: the wheels'
-    still: bool = False  # the base stands, by wheels and gyro: the heading is held
+    heading_by_gyro: bool = False  # the newest turn in the pose is by the gyro, 0: by the wheels
+    still: bool = False  # the base stands still, by wheels and gyro: the heading is held
     refused: int = 0  # samples so far that were no numbers, off the scale or out of order
 
 
@@ -95,33 +95,33 @@ class DoubtSnapshot:
 
     since_ns: I64
     setpoint_rad_s: float
-    measured_rad_s: float  # by its counter where it has one, smoothed
-    reported_rad_s: float  # the drive's own measure, as it came; NaN: none
+    measured_rad_s: float  # measured by the counter if the joint has one, smoothed
+    reported_rad_s: float  # the drive's own measured value, as it came; NaN: none
     fault: FirstFault
     joint: U32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeratingSnapshot:
-    """The joint, by its place, that slows the base most."""
+    """The derating of the joint that slows the base most."""
 
-    since_ns: I64  # 0: none does
-    factor: float  # of the base's speed limits
+    since_ns: I64  # 0: no joint derates the base
+    factor: float  # factor of the base's speed limits
     joint: U32
     by: DeratedBy
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedLoopSnapshot:
-    """Of one wheel: a torque in N m, or a duty."""
+    """One wheel's speed loop: torque in N m, or duty."""
 
-    output_u: float  # 0: without a loop
-    integral_u: float  # of it
+    output_u: float  # 0 without a loop
+    integral_u: float  # part of the output from the integral
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlainSnapshot:
-    """The robot as a whole: what is no structure by itself."""
+    """State of the robot as a whole, without its sub-structures."""
 
     stamp_ns: I64  # this tick
     tick: U64
@@ -129,7 +129,7 @@ class PlainSnapshot:
     owner: U32
     reasons: Reasons
     faults: Faults  # latched
-    armed: bool  # by the core's own word
+    armed: bool  # the core itself is armed
     enabled: bool  # the drives are to have power
     at_rest: bool  # set-points are zero and every fresh wheel is slower than rest_velocity_rad_s
     odometry_degraded: bool  # a wheel is stale, or has no counter
@@ -140,8 +140,8 @@ class PlainSnapshot:
     wanted_angular_rad_s: float
     setpoint_linear_m_s: float  # after limits and saturation
     setpoint_angular_rad_s: float
-    saturation: float  # common factor, 1: none
-    odometry_stamp_ns: I64  # the newest feedback that is in the pose
+    saturation: float  # common factor of all wheels; 1: no saturation
+    odometry_stamp_ns: I64  # stamp of the newest feedback that is in the pose
     x_m: float
     y_m: float
     heading_rad: float  # -pi..pi

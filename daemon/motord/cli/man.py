@@ -23,7 +23,7 @@ _STATUS = """0 success, 1 failure, 2 wrong usage or a wrong robot file,
 
 def pages() -> Iterator[tuple[str, str]]:
     """Return file name and text of each page: motord.1, motord-run.1, ..."""
-    root = click.Context(cli, info_name="motord")
+    root = click.Context(cli, info_name="motord", **cli.context_settings)
     commands = {name: cli.get_command(root, name) for name in COMMANDS}
     shown = "".join(
         f".TP\n.BR motord\\-{_text(name)} ({_SECTION})\n{_text(about)}\n"

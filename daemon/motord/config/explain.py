@@ -114,7 +114,7 @@ def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
     if kind == "missing":
         return Complaint(path, f"is missing{_description(node)}{_hint(allowed(node))}", stand_in)
     if kind == "literal_error":
-        return Complaint(path, _no_choice(path, node, value), stand_in)
+        return Complaint(path, _no_choice(node, value), stand_in)
     if kind in _OUT_OF_RANGE:
         text = f"{_shown(value)} is out of range{_hint(allowed(node))}"
         return Complaint(path, text, stand_in)
@@ -158,7 +158,7 @@ def _unknown_key(path: Path, around: Node, value: Any) -> Complaint:
     return Complaint(path, f"unknown key (did you mean {near}{in_unit}?)", rename=near)
 
 
-def _no_choice(path: Path, node: Node, value: Any) -> str:
+def _no_choice(node: Node, value: Any) -> str:
     near = candidates(value, map(str, choices(node))) if isinstance(value, str) else []
     meant = f"; did you mean {' or '.join(map(_shown, near))}?" if near else ""
     return f"{_shown(value)} is unknown{_hint(allowed(node) + meant)}"

@@ -15,7 +15,7 @@ class Seal(enum.IntEnum):
     CRC16 = 1
     CRC8 = 2
     XMODEM = 3
-    ASKED = 4
+    WITH_REQUEST = 4
     SUM = 5
     STUFFED = 6
 

@@ -78,6 +78,12 @@ def test_there_is_a_man_page_for_every_command():
         assert "\b" not in text
 
 
+def test_the_man_pages_name_the_short_form_of_help_and_leave_the_help_as_it_is():
+    found = dict(pages())
+    assert all(".B \\-h, \\-\\-help" in text for text in found.values())
+    assert "  -h, --help " in CliRunner().invoke(cli, ["--help"]).output
+
+
 def test_the_man_pages_are_without_warnings(tmp_path):
     if shutil.which("mandoc") is None:
         pytest.skip("needs mandoc")

@@ -28,7 +28,7 @@ def packet_frame(request: Request) -> LineFrame:
         reply_bytes=codec.reply_size(request),
         match=b"" if reads else codec.ACKNOWLEDGED,
         request_seal=Seal.NONE if reads else Seal.XMODEM,
-        reply_seal=Seal.ASKED if reads else Seal.NONE,
+        reply_seal=Seal.WITH_REQUEST if reads else Seal.NONE,
         exact=1,
     )
 
