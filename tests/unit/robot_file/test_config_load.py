@@ -126,7 +126,7 @@ def test_an_unknown_kind_is_reported_with_the_known_ones(problems_of, right, wro
     ("right", "wrong", "row"),
     [
         ('"demo"', '"My Robot"', 'robot.name: "My Robot": a name is letters, digits'),
-        ('"demo"', '"x"\nnamespace = "a"', "robot.namespace: unknown key (known: name)"),
+        ('"demo"', '"x"\nnamespace = "a"', "robot.namespace: unknown key (did you mean name?)"),
         ("joint.left]", 'joint."L x"]', 'joint.L x: "L x": a name is letters, digits'),
         ('"/dev/ttyUSB0"', '""', "line.rs485.port: is empty"),
         ('"/dev/ttyUSB0"', "3", 'line.rs485.port: 3 is not a string: write "3"'),
