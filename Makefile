@@ -85,8 +85,8 @@ test: $(VENV)/built $(VENV)/test $(VENV)/collected
 	$(if $(ARGS),,@echo "$(LEFT_OUT)" >&2)
 
 # Also the tests marked `long`, and those with programs of others: tests/conftest.py. These wait
-# less: with nine workers, two processors are late, tests run again, and all of it takes longer.
-test-all: WORKERS = 6
+# less: with more workers, two slow processors are late, and tests run again.
+test-all: WORKERS = 8
 test-all: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTEST) $(ARGS)
 

@@ -70,6 +70,7 @@ _TOKEN = re.compile(
     r"""|[\w\[\]>.\-*()& +]+(?:\s=|\s[|^+\-]=|<<=|>>=)[^;{}]*|\w+\([^;{}]*\));[ \t]*$)""",
     re.DOTALL | re.MULTILINE,
 )
+_COMMENT = re.compile(r"/\*.*?(?:\*/|$)", re.DOTALL)
 
 # A mutant in a dead loop ends by its processor time, however busy the machine is.
 DEADLINE = """
@@ -99,7 +100,7 @@ __attribute__((no_instrument_function)) void __cyg_profile_func_enter(void *call
 @dataclass(frozen=True)
 class Mutant:
     line: int
-    what: str  # its line, with the change in double braces
+    what: str  # its line without comments, with the change in double braces
     text: str
 
 
@@ -142,7 +143,7 @@ def mutants(source: str) -> list[Mutant]:
             stop = source.find("\n", end)
             change = "removed" if kind == "statement" else new or "nothing"
             shown = f"{source[start:begin]}{{{{{text} -> {change}}}}}{source[end:stop]}"
-            shown = " ".join(shown.split())
+            shown = " ".join(_COMMENT.sub("", shown).split())
             seen[shown] += 1
             what = shown if seen[shown] == 1 else f"{shown} ({seen[shown]})"
             line = source.count("\n", 0, begin) + 1
