@@ -47,6 +47,15 @@ def test_a_loop_that_stands_still_is_not_up():
     assert parsed(exposition(BODY, old))["motord_up",].value == 0.0
 
 
+def test_a_loop_that_stands_still_shows_no_old_speed_as_the_present_one():
+    fresh = parsed(exposition(BODY, view(now_ms(), STATUS)))
+    old = parsed(exposition(BODY, view(now_ms() - round(2000 * STALE_S), STATUS)))
+    gone = {key[0] for key in fresh.keys() - old.keys()}
+    assert {"motord_armed", "motord_speed_metres_per_second", "motord_state"} <= gone
+    assert any(name.startswith("motord_joint_") for name in gone)
+    assert ("motord_bus_restarts_total",) in old  # the daemon itself answers
+
+
 def test_the_daemons_status_is_among_the_figures_in_base_units():
     figures = parsed(exposition(BODY, view(now_ms(), STATUS)))
     assert figures["motord_loop_lateness_seconds", "0.99"].value == pytest.approx(20e-6)
@@ -68,7 +77,7 @@ def test_a_robot_without_a_second_process_has_figures_too():
 )
 def test_any_value_and_any_name_is_read_back_unchanged(value, name):
     body = Body(robot=name, joints=("left", "right"))
-    measured = view(1, linear_m_s=value, joints=(joint(current_a=value), joint()))
+    measured = view(now_ms(), linear_m_s=value, joints=(joint(current_a=value), joint()))
     figures = parsed(exposition(body, measured))
     speed = figures["motord_speed_metres_per_second",]
     assert repr(speed.value) == repr(value) or math.isnan(value)

@@ -38,7 +38,7 @@ class _Figures(Collector):
         self._view = view
 
     def collect(self) -> Iterator[Metric]:
-        """Yield all figures; without a view only motord_up, which is 0."""
+        """Yield all figures; of a loop that does not run only those that the daemon reports."""
         for family in _families(self._body, self._view):
             metric = Metric(family.name.removesuffix("_total"), family.text, family.kind)
             for labels, value in family.values:
@@ -54,25 +54,28 @@ def exposition(body: Body, view: View | None) -> bytes:
 
 
 def _families(body: Body, view: View | None) -> Iterator[Family]:
-    yield Family("motord_up", "gauge", "1: the robot's loop runs.", (({}, _up(view)),))
-    if view is not None:
+    up = view is not None and _is_up(view)
+    yield Family("motord_up", "gauge", "1: the robot's loop runs.", (({}, float(up)),))
+    if view is None:
+        return
+    if up:
         yield from _base(view)
         yield from _joints(body, view)
-        if view.status is not None:
-            yield from _loop(view.status)
-            yield from _lines(view.status)
-            yield from _commands(view.status)
+    if view.status is not None:
+        yield from _loop(view.status)
+        yield from _lines(view.status)
+        yield from _commands(view.status)
+        if up:
             yield from _battery(view.battery())
 
 
 STALE_S = 1.0
-"""Age of a snapshot from which on the loop counts as not running."""
+"""Age of a snapshot from which on the loop counts as not running. What such a snapshot shows of the
+robot is not exported: a monitor would take an old speed for the present one."""
 
 
-def _up(view: View | None) -> float:
-    if view is None:
-        return 0.0
-    return float(time.monotonic_ns() - view.snapshot.stamp_ns < STALE_S * 1e9)
+def _is_up(view: View) -> bool:
+    return time.monotonic_ns() - view.snapshot.stamp_ns < STALE_S * 1e9
 
 
 def _base(view: View) -> Iterator[Family]:
