@@ -43,8 +43,8 @@ def shared_bus(kind):
 
 
 class End(UnixClient):
-    """An end that loses a frame which the bus does not take at once, as a drive does: a machine that
-    is busy may leave the bus unread until its buffer is full."""
+    """An end that drops a frame which the bus does not take at once, as a drive does: on a busy
+    machine the bus may be unread until its buffer is full."""
 
     def send(self, msg, timeout=None):
         with contextlib.suppress(BlockingIOError):
