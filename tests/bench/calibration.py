@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well `motord calibrate` recovers the geometry of a simulated robot that differs from its
-file, and by how much the error at the end of a square falls.
+"""Accuracy with which `motord calibrate` recovers the geometry of a robot that differs from its
+file, on the simulator, and the factor by which the error at the end of a square falls.
 
 python -m tests.bench.calibration: one JSON object.
 """

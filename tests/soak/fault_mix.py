@@ -14,8 +14,8 @@ UNITS = 4
 BATCH_S = 1.6
 """The faults of a batch begin within this time."""
 RARE_PART = 0.8
-"""This part of the reply faults hits a reply now and then during the whole batch: the robot drives
-on, and what it accepts is checked. The others hit every reply for a moment."""
+"""Part of the reply faults that hit single replies during the whole batch: the robot drives on, and
+the counts that it accepts are checked. The other faults hit every reply for a moment."""
 RARE_P = 0.02
 FAULT_BITS = (0, 2, 5, 10)
 """Fault bits of the profile, one of them a warning."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong on a CAN bus itself: bus-off, error frames, a full queue, a flood, no adapter."""
+"""Faults of a CAN bus itself: bus-off, error frames, a full queue, a flood, no adapter."""
 
 import asyncio
 import errno

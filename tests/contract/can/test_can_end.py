@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a CAN line of either engine ends on a bus whose queue is full: sent again, or reported."""
+"""End of a CAN line of either engine on a full bus: a lost power-off is sent again, or reported."""
 
 import asyncio
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial lines that end while a drive is disturbed: it gets its stop, or it is named."""
+"""Serial lines that end while a drive is disturbed: it gets its stop, or it is reported."""
 
 import asyncio
 import dataclasses

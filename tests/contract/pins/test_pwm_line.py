@@ -150,7 +150,7 @@ async def test_cancelling_the_line_leaves_no_pulses(chip):
 
 
 def broken(chip, number):
-    """From now on the kernel refuses every duty of an open channel: no space left on the device.
+    """Make the kernel refuse every further duty of an open channel: no space left on the device.
     Return a descriptor of the file, which the caller has to close."""
     path = (chip.folder / f"pwm{number}/duty_cycle").resolve()
     links = [Path("/proc/self/fd", name) for name in os.listdir("/proc/self/fd")]

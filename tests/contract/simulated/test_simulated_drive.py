@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contract suite: every drive profile, its simulator, and the line between them.
 
-Real time, a real pty, the shipped line; the simulator's truth has what the wheels really did.
+Real time, a real pty, the shipped line; the simulator's truth shows how the wheels really moved.
 """
 
 import contextlib

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulated drives do with the motors, read over the wire; the test advances the clock."""
+"""Motion of the simulated drives' motors, read over the wire; the test advances the clock."""
 
 import math
 
