@@ -10,7 +10,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PYTHON = "3.11"
 GLIBC_MINOR = (17, 24, 26, 27, 28, 31, 34, 35, 36)
-"""Each x of the platform tags manylinux_2_x (PEP 600); Debian 12 has glibc 2.36."""
+"""Minor versions x of the platform tags manylinux_2_x (PEP 600); Debian 12 has glibc 2.36."""
 SOURCE_ONLY = ("evdev",)
 NOT_THERE = ("cyclonedds",)
 """Packages that are left out: they have no wheel for aarch64 (docs/ros2.md)."""

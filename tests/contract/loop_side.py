@@ -73,7 +73,7 @@ class SpeedLoop:
 
 @dataclass
 class LoopSide:
-    """Stand-in for the real-time loop: puts set-points, unless `running` is false: it has died."""
+    """Stand-in for the real-time loop: puts set-points while `running`; otherwise it has died."""
 
     exchange: Exchange
     line: int = 0

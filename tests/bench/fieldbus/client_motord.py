@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord's real-time line against the bench's slave: prints "ready", and a line of JSON a request.
+"""Runs motord's real-time line against the bench's slave: prints "ready", then a line of JSON for
+each line "stats" on stdin.
 
 python client_motord.py PORT DRIVES GAP(spec|3.5char) FUNCTION(16|23) HOGS
 """

@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 BUSES = {"3 STS3215, 1 Mbaud": ("feetech", 1_000_000, 3),
          "6 Dynamixel, 4 Mbaud": ("dynamixel", 4_000_000, 6)}  # fmt: skip
 CYCLE_BYTES = {"feetech": (8 + 8, 3 + 1 + 21), "dynamixel": (14 + 14, 5 + 1 + 19)}
-"""Bytes of a cycle (sync write of velocities, sync read, replies): in common, and a servo."""
+"""Bytes of a cycle (sync write of velocities, sync read, replies): shared ones, and per servo."""
 MASTERS = {"motord": ("motord", 0), "motord, GIL hog": ("motord", 1),
            "makers' SDK": ("sdk", 0), "makers' SDK, GIL hog": ("sdk", 1)}  # fmt: skip
 

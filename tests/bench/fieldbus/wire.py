@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of the wire each master uses, and whether it keeps the silence: all masters with the
-same slave (rtu_slave.c), one after the other in each round."""
+"""Measures how much of the wire each master uses, and whether it keeps the silent interval: all
+masters with the same slave (rtu_slave.c), one after the other in each round."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ MOVING_MAX = 900.0
 FEEDBACK_MAX = 1800.0
 RATIO_MAX = 1.2
 GROWTH_MAX = 1.25
-"""Limit of `growth`: so many times its mean cost may a joint cost between the largest numbers."""
+"""Limit of `growth`, above which the cost rises too fast with the number of joints."""
 BASES = {
     "skid": (2, 4, 8),
     "omni": (3, 4, 8),

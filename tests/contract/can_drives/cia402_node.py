@@ -183,7 +183,7 @@ class Cia402Node:
 
     def _turn(self):
         """Move for one SYNC period: in position mode to the target at once, in torque mode by the
-        torque, in 0.1 % of 1 N m. Without power keep the position, and no velocity."""
+        torque, in 0.1 % of 1 N m. Without power it does not move."""
         if self.get(0x6061) == POSITION_MODE and self.status == OPERATION:
             self.position = self.target
         if self.get(0x6061) == TORQUE_MODE:

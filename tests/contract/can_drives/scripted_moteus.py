@@ -108,7 +108,7 @@ class Moteus:
                                    bitrate_switch=True, data=reply))  # fmt: skip
 
     def execute(self, frame):
-        """Carries out the writes of a frame and answers its reads."""
+        """Carry out the writes of a frame; return the answer to its reads."""
         data, reply = list(frame), b""
         wanted = {}
         while data:

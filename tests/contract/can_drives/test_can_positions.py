@@ -21,7 +21,7 @@ PROFILES = [
 FAST_RAD_S, LIMITED_RAD_S = 20.0, 1.0
 NEAR_RAD = 0.02
 FAR_RAD = 15.0
-"""Far target. A line accepts a first target as far as a joint travels in PATIENT_S."""
+"""Far target, nearer than a joint can get in PATIENT_S: the limit of a first target."""
 
 
 @pytest.fixture(params=long_but(PROFILES[:1], PROFILES))

@@ -73,7 +73,7 @@ async def test_an_echo_does_not_count_as_the_acknowledgement_of_a_dead_drive(pee
 
 @pytest.mark.parametrize(("echo_setting", "acknowledged"), [(Echo.YES, False), (Echo.NO, True)])
 async def test_the_robot_file_decides_whether_the_line_echoes(echo_setting, acknowledged):
-    """When one register is written, echo and reply are equal bytes; asyncio's framer alone."""
+    """When one register is written, echo and reply are equal. Only asyncio's framer is tested."""
     framer = StrictFramer(echo_setting)
     request = Request(1, Function.WRITE_SINGLE, 0x200E, values=(8,))
     frame = build_request(request)

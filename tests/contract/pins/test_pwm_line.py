@@ -45,7 +45,7 @@ async def half_forward(rig, chip):
 
 REST = [0, 0, 0, PERIOD_NS]
 ON_AT_REST = [0, 0, 0, 1]
-"""`enable` at rest: a disabled channel is low on most chips, so the active-low one stays on."""
+"""`enable` at rest: a disabled channel is low on most chips, so the active-low one stays at 1."""
 
 
 async def test_bridges_are_set_up_at_rest_and_move_only_when_armed_and_enabled(chip):

@@ -147,7 +147,7 @@ def test_every_module_to_import_beforehand_exists():
 
 
 def children(pid):
-    """Return the process numbers of its children."""
+    """Return the numbers of the child processes of this process."""
     return [
         number
         for path in Path(f"/proc/{pid}/task").glob("*/children")

@@ -43,7 +43,7 @@ def bus_children(stage, command):
 
 
 class Page:
-    """A page's use of its socket."""
+    """A page's end of the dashboard's socket."""
 
     def __init__(self, connection, acknowledges):
         self.connection, self.acknowledges = connection, acknowledges
