@@ -11,9 +11,9 @@ pip wheel --quiet --no-index --find-links /wheels --no-deps --no-build-isolation
 ls dist
 pip install --quiet --no-index --find-links /wheels --no-build-isolation --editable '.[test]'
 make -j 2 -C tests/c plain
-# QEMU 7.2 knows no termios2 (any baud rate of a port: ioctl_tty(2)), takes page faults of its own
-# in our threads, answers for scheduling and capabilities otherwise than the kernel, and hands the
-# kernel twice the buffer for ancillary data that recvmsg(2) was given: descriptors fit in.
+# QEMU 7.2 has no termios2 (any baud rate of a port: ioctl_tty(2)), causes page faults of its own in
+# our threads, differs from the kernel in scheduling and capabilities, and gives the kernel twice
+# the buffer for ancillary data that recvmsg(2) was called with: too many descriptors fit in.
 not_emulated=(
     tests/unit/fieldbus/test_serial_port.py
     tests/rt/loop/test_loop_kernel.py

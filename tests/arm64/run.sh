@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # make arm64: the wheel, tests/c, tests/rt and tests/unit on aarch64, in a Debian 12 of that
 # architecture whose programs QEMU runs. Arguments go to pytest. Without root, Debian 12 or the
-# packages: the reason in one line, and status 0.
-# Emulated: what is computed is real, time means nothing.
+# packages it prints the reason in one line and ends with status 0.
+# In the emulation results are valid, but times mean nothing.
 set -euo pipefail
 
 here=$(dirname "$(realpath "$0")")
@@ -24,8 +24,8 @@ for program in qemu-aarch64-static mmdebstrap arch-test; do
         skip "needs $program (apt install qemu-user-static mmdebstrap arch-test)"
 done
 
-# The kernel hands programs of aarch64 to QEMU; F: opened now, so that it need not be in the guest
-# (binfmt-misc.rst).
+# The kernel runs programs of aarch64 with QEMU. Flag F opens QEMU now, so that the guest need not
+# contain it (binfmt-misc.rst).
 handler=/proc/sys/fs/binfmt_misc/qemu-aarch64
 if [ ! -e "$handler" ]; then
     mountpoint -q /proc/sys/fs/binfmt_misc || mount -t binfmt_misc none /proc/sys/fs/binfmt_misc ||

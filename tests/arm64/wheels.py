@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""wheels.py FOLDER: what the project and its tests need, as wheels for aarch64 and Python 3.11; a
-package without a wheel (evdev) as source."""
+"""wheels.py FOLDER: downloads the packages that the project and its tests need, as wheels for
+aarch64 and Python 3.11, and as source where there is no wheel (evdev)."""
 
 import subprocess
 import sys
@@ -10,10 +10,10 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 PYTHON = "3.11"
 GLIBC_MINOR = (17, 24, 26, 27, 28, 31, 34, 35, 36)
-"""manylinux_2_x: PEP 600; Debian 12 has glibc 2.36."""
+"""Minor versions x of the platform tags manylinux_2_x (PEP 600); Debian 12 has glibc 2.36."""
 SOURCE_ONLY = ("evdev",)
 NOT_THERE = ("cyclonedds",)
-"""No wheel for aarch64: docs/ros2.md."""
+"""Packages that are left out: they have no wheel for aarch64 (docs/ros2.md)."""
 
 
 def main(folder: str) -> None:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well `motord calibrate` recovers the geometry of a simulated robot that differs from its
-file, and by how much the error at the end of a square falls.
+"""Accuracy with which `motord calibrate` recovers the geometry of a robot that differs from its
+file, on the simulator, and the factor by which the error at the end of a square falls.
 
 python -m tests.bench.calibration: one JSON object.
 """
@@ -32,14 +32,14 @@ FRICTION = ("left.coulomb_n_m=0.48", "right.coulomb_n_m=0.48")
 SHORT = ("--distance-m", "1", "--turns", "1", "--side-m", "1")
 """A course that is only long enough to show that the calibration runs."""
 TRIES = 4
-"""A busy machine may hold up the simulated robot for too long."""
+"""Number of tries: a busy machine may hold up the simulated robot for too long."""
 FULL_DUTY_RAD_S = 8.0 * 0.94 / (8.0 / 18.0 + 0.02)
-"""8 N·m · (duty − 0.06) = (8 / 18 + 0.02) N·m·s/rad · speed"""
+"""Speed at a duty of 1: 8 N·m · (duty − 0.06) = (8 / 18 + 0.02) N·m·s/rad · speed."""
 
 
 def square_error_m(stage: Any, side_m: float) -> float:
-    """The distance between the end of a square and its odometry, the mean of one square to the left
-    and one to the right (UMBmark: the return position error)."""
+    """Return the distance between the true end of a square and that of the odometry: the mean of a
+    square to the left and one to the right (UMBmark: the return position error)."""
     errors_m = []
     while len(errors_m) < 2:
         sign = -1.0 if errors_m else 1.0
@@ -56,7 +56,7 @@ def square_error_m(stage: Any, side_m: float) -> float:
 
 
 def geometry(side_m: float, *course: str) -> dict[str, Any]:
-    """Radii and track, and the square before and after. `course`: options of motord calibrate."""
+    """Return errors of radii, track and square. `course`: options of `motord calibrate`."""
     with tempfile.TemporaryDirectory() as folder:
         file = copied(folder)
         with robot_of(folder, file, *SURE, truth=TRUTH) as stage:
@@ -77,7 +77,7 @@ def geometry(side_m: float, *course: str) -> dict[str, Any]:
 
 
 def duty() -> dict[str, float]:
-    """Dead band and speed at full duty, relative to the simulated motor's."""
+    """Return the relative errors of the dead band and of the speed at full duty."""
     with tempfile.TemporaryDirectory() as folder:
         given = [("duty_dead_band = 0.06", "duty_dead_band = 0.02")]
         file = copied(folder, FORWARD_ONLY, given)
@@ -90,7 +90,7 @@ def duty() -> dict[str, float]:
 
 
 def measure(side_m: float = 4.0, course: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Geometry and duty."""
+    """Return the figures of geometry and duty."""
     return {"geometry": geometry(side_m, *course), "duty": duty()}
 
 

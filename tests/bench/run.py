@@ -26,7 +26,7 @@ Verdicts = list[tuple[str, bool, bool]]
 
 
 class Size(enum.Enum):
-    """How much is measured."""
+    """Amount of measurement."""
 
     SMOKE = enum.auto()
     QUICK = enum.auto()

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rigs are imported by their own names, from any of these folders: in the guest of `make vm`, which
-has some of these tests, all are in one."""
+"""Rigs are imported by their names alone, from any of these folders: in the guest of `make vm`,
+which has some of these tests, all files are in one folder."""
 
 import sys
 from pathlib import Path
@@ -13,7 +13,7 @@ sys.path[:0] = [str(HERE), *(str(path) for path in HERE.iterdir() if path.is_dir
 
 @pytest.fixture
 def chip(tmp_path):
-    """Of PWM channels, in files."""
+    """A PWM chip with its channels as plain files."""
     from pwm_rig import Chip
 
     return Chip(tmp_path / "chip")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop's end of an exchange, and a line that runs: what tests of lines share."""
+"""Helpers of tests of lines: the loop's end of an exchange, and a line that runs."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ GENEROUS_S = 60.0
 LOOK_EVERY_S = 0.01
 SETPOINTS_EVERY_S = 0.01
 PATIENT_S = 1.0
-"""The age from which set-points are old to lines here. In the product a thread that waits for
-nothing puts them; here one event loop does, and a busy machine may leave it without a CPU for
-longer than the product allows."""
+"""Age from which set-points are old for the lines of these tests. In the product a real-time thread
+puts set-points; here the event loop does, and on a busy machine it may get no CPU for longer than
+the product allows."""
 REPLY_S, UNRESPONSIVE_S = 0.2, 0.6
-"""Of drives here, which share this process: a later reply does not count, and a drive
-without feedback for this time is unresponsive."""
+"""Time-outs for the drives of these tests, which share this process: a reply after REPLY_S does not
+count, and a drive without feedback for UNRESPONSIVE_S is unresponsive."""
 BOARDS = ("mcu", "ascii", "hoverboard", "sabertooth")
 
 
 async def until(condition: Callable[[], bool], what: str = "") -> None:
-    """Wait for a condition, with a deadline that only a hung program meets."""
+    """Wait for a condition; fail after GENEROUS_S, which is enough unless a program hangs."""
     try:
         async with asyncio.timeout(GENEROUS_S):
-            while not condition():  # a condition of the world, not of ours
+            while not condition():  # no event reports that it is true
                 await asyncio.sleep(LOOK_EVERY_S)
     except TimeoutError:
         raise AssertionError(f"never came true: {what or condition}") from None
@@ -73,7 +73,7 @@ class SpeedLoop:
 
 @dataclass
 class LoopSide:
-    """Puts set-points as the loop's tick does; `running = False`: the loop has died."""
+    """Stand-in for the real-time loop: puts set-points while `running`; otherwise it has died."""
 
     exchange: Exchange
     line: int = 0
@@ -82,9 +82,9 @@ class LoopSide:
     velocity_rad_s: dict[int, float] = field(default_factory=dict)
     duty: dict[int, float] = field(default_factory=dict)
     position_rad: dict[int, float] = field(default_factory=dict)
-    """Of joints that take positions; the others have no target."""
+    """Target angle by index of each joint that takes positions; other joints have no target."""
     speed_loops: dict[int, SpeedLoop] = field(default_factory=dict)
-    """Of joints whose drives take a torque."""
+    """Speed loop by index of each joint whose drive takes a torque."""
     running: bool = True
     put_ns: int = 0
     """Stamp of the newest set-points."""
@@ -103,7 +103,7 @@ class LoopSide:
         self.exchange.put_setpoints(self.line, Setpoints(self.put_ns, 1, self.enabled, wheels))
 
     def put_for_a_moment(self) -> None:
-        """Enabled, and no longer so before a line looks: an emergency stop right after arming."""
+        """Put enabled, then disabled set-points at once: an emergency stop right after arming."""
         self.enabled = True
         self.put()
         self.enabled = False
@@ -125,7 +125,7 @@ class LoopSide:
 
 @dataclass
 class Rig:
-    """A line under test, its loop side, and what it logged."""
+    """A line under test, its loop side, and the events that it reported."""
 
     line: Line
     loop: LoopSide
@@ -142,7 +142,7 @@ class Rig:
         await until(lambda: self.states() == {DriveState.READY}, "every drive is ready")
 
     async def arm(self) -> None:
-        """Once more if a peer was unresponsive meanwhile, as on a busy machine."""
+        """Arm the line; repeat it if a peer was unresponsive meanwhile, as on a busy machine."""
         refusals: list[str] = []
         try:
             async with asyncio.timeout(GENEROUS_S):
@@ -153,9 +153,9 @@ class Rig:
             raise AssertionError(f"never armed: {refusals[-3:]}, logged: {logged[-5:]}") from None
 
     async def drive(self, condition: Callable[[], bool], what: str) -> None:
-        """Armed and enabled until the condition holds. A line that had no set-points for longer
-        than PATIENT_S, or a drive that was not fed for as long as its watchdog waits, has stopped,
-        as it must: then once more, and it is printed."""
+        """Keep the line armed and enabled until the condition holds. The line stops where it had
+        no set-points for longer than PATIENT_S, and a drive where its watchdog was not fed in time.
+        After such a stop print the states and arm again."""
         try:
             async with asyncio.timeout(GENEROUS_S):
                 while not condition():
@@ -183,13 +183,13 @@ class Rig:
 
 
 def patient(spec: LineSpec) -> LineSpec:
-    """The line with time-outs that a busy machine does not miss."""
+    """Return the line with time-outs that are long enough for a busy machine."""
     joints = tuple(_patient_joint(joint, spec) for joint in spec.joints)
     return dataclasses.replace(spec, joints=joints, setpoint_timeout_s=PATIENT_S)
 
 
 def _patient_joint(joint: JointSpec, spec: LineSpec) -> JointSpec:
-    if spec.kind in BOARDS:  # which are unresponsive after so many cycles
+    if spec.kind in BOARDS:  # unresponsive after `tries` cycles without feedback
         return dataclasses.replace(
             joint, tries=max(joint.tries, round(UNRESPONSIVE_S * spec.cycle_hz))
         )
@@ -208,8 +208,8 @@ def _patient_joint(joint: JointSpec, spec: LineSpec) -> JointSpec:
 
 @contextlib.asynccontextmanager
 async def running(spec: LineSpec, *, in_haste: bool = False) -> AsyncIterator[Rig]:
-    """The line, running, until the end of the block; then it is cancelled. `in_haste`: with the
-    time-outs of the product, where the test is about them."""
+    """Run the line until the end of the block, then cancel it. `in_haste`: with the time-outs of
+    the product, for tests of those time-outs."""
     spec = spec if in_haste else patient(spec)
     loop = LoopSide(Exchange.private(), line=spec.index)
     for joint in spec.joints:
@@ -227,4 +227,4 @@ async def running(spec: LineSpec, *, in_haste: bool = False) -> AsyncIterator[Ri
             task.cancel()
             await asyncio.wait([task])
             ticking.cancel()
-            print(*events, sep="\n")  # shown where the test has failed
+            print(*events, sep="\n")  # pytest shows it when the test fails

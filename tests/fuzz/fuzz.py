@@ -29,7 +29,7 @@ TARGETS = {
     "socket": (local_socket.run, 50),
     "guard": (guard.run, 50),
 }
-"""The target, and how many of its runs count as one: the targets differ that much in cost."""
+"""Each target's function, and the number of --runs for one run of it: their costs differ."""
 PROBLEMS_MAX = 5
 SHOWN_BYTES = 400
 FAILED = ROOT / "build/fuzz"

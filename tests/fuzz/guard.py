@@ -33,17 +33,17 @@ MEDIA = ("asyncio", *GATEWAYS)
 PROFILES = ("zlac8015d", "duty-register", "speed-register", "bld-305s")
 REPLIES = 40
 HOSTILE_S = 5.0
-"""Hostile replies in a life, or fewer if this time ends first: a line polls a drive without valid
-replies ever more rarely."""
+"""Number of hostile replies in a life; fewer if HOSTILE_S ends first, because a line polls a drive
+without valid replies ever more rarely."""
 LIVES_AT_ONCE = 4
 HONEST_PARTS = (0.0, 0.3, 0.7, 0.9)
-"""Part of valid replies in a life: with many of them a hostile one meets every kind of request."""
+"""Parts of valid replies in a life: if it is large, hostile ones meet every kind of request."""
 SPEED_RAD_S = 6.0
 WORDS = (b"\x00", b"\xff" * 4, bytes(300), b"\x01\x83\x00", b"\x01\x03\x02", b"\x55" * 600)
 
 
 def run(seed: int, runs: int) -> Iterator[tuple[str, bytes]]:
-    """Yields each problem with its replies."""
+    """Yield each problem with the replies that caused it."""
     yield from asyncio.run(_lives(seed, runs))
 
 
@@ -65,7 +65,7 @@ async def _lives(seed: int, runs: int) -> list[tuple[str, bytes]]:
 
 @dataclass
 class Hostile:
-    """Turns valid replies into hostile ones, and keeps what it sent."""
+    """Turns valid replies into hostile ones, and records what it sends."""
 
     dice: random.Random
     peer: ScriptedSlave
@@ -131,14 +131,14 @@ async def _slave(medium: str, profile: str) -> AsyncIterator[ScriptedSlave]:
 
 
 def _follow(peer: ScriptedSlave, profile: str) -> None:
-    """This drive reports in another register whether it is enabled."""
+    """Copy `enable` of a speed-register drive to `status`, which reports whether it is enabled."""
     if profile == "speed-register":
         registers, known = peer.units[1].registers, find_profile(profile).registers
         registers[known["status"].address] = registers[known["enable"].address]
 
 
 async def _live(seed: int, number: int) -> list[tuple[str, bytes]]:
-    """One line: it is armed and driven, gets hostile replies, and ends during them or later."""
+    """Run one line: arm and drive it, send it hostile replies, end it during them or later."""
     dice = random.Random(f"{seed} {number}")
     medium, name = dice.choice(MEDIA), dice.choice(PROFILES)
     ends_hostile = dice.random() < 0.5
@@ -189,7 +189,7 @@ async def _recover(rig: Rig, peer: ScriptedSlave, profile: str) -> None:
 
 
 def _switched_off(requests: list[Request], profile: Any) -> bool:
-    """Whether these requests contain every write of the profile's power-off."""
+    """Return whether these requests contain every write of the profile's power-off."""
     sent = {
         (address, value)
         for request in requests

@@ -20,7 +20,7 @@ from motord.client import Client, ClientError
 from motord.local_socket.server import LINE_BYTES_MAX
 
 LINES = 60
-"""Lines of one connection; a line that is too long ends it earlier."""
+"""Largest number of lines of one connection; a line that is too long ends it earlier."""
 READ_WITHIN_S = 20.0
 METHODS = (
     "status", "disarm", "stop", "estop", "reset", "reset_odometry", "drive", "lease", "release",
@@ -42,7 +42,7 @@ KEYS = ("linear_m_s", "angular_rad_s", "owner", "priority", "lease_s", "names", 
 
 
 def run(seed: int, runs: int) -> Iterator[tuple[str, bytes]]:
-    """Yields each problem with its input."""
+    """Yield each problem with its input."""
     dice = random.Random(seed)
     with (
         tempfile.TemporaryDirectory(prefix="fuzz-") as folder,
@@ -109,7 +109,7 @@ def _arms_by_right(line: bytes) -> bool:
 
 
 def _talk(dice: random.Random, path: Path, lines: list[bytes]) -> None:
-    """Sends all lines over one connection, in pieces, and reads the answers or not."""
+    """Send all lines over one connection, in pieces, and read the answers or leave them unread."""
     data = b"".join(lines)
     cuts = sorted(dice.randint(0, len(data)) for _ in range(dice.choice((0, 1, 5, 50))))
     with socket.socket(socket.AF_UNIX) as peer:

@@ -10,7 +10,7 @@ CHANGES_MAX = 4
 
 
 def mutated(dice: random.Random, data: bytes, words: Sequence[bytes]) -> bytes:
-    """`data` with one or a few changes; `words` are inserted."""
+    """Return `data` with one or a few changes; some insert one of `words`."""
     for _ in range(dice.randint(1, CHANGES_MAX)):
         data = _changed(dice, data, words)
     return data

@@ -33,11 +33,11 @@ WORDS = (
 
 
 class _TooSlow(BaseException):
-    """Not an Exception, so no handler of errors catches it."""
+    """Time-out of the reader. It is not an Exception, so no handler of errors catches it."""
 
 
 def run(seed: int, runs: int) -> Iterator[tuple[str, bytes]]:
-    """Yields each problem with its input."""
+    """Yield each problem with its input."""
     dice = random.Random(seed)
     originals = [path.read_bytes() for path in SHIPPED]
     with tempfile.TemporaryDirectory(prefix="fuzz-") as folder, _bounded_memory():

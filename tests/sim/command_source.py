@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A program that sends commands by datagram, and a robot that takes them."""
+"""A program that sends commands as datagrams, and the robot's setting for them."""
 
 import socket
 
@@ -22,7 +22,7 @@ def free_udp_port():
 
 
 class Source:
-    """A program that commands by datagrams."""
+    """A program that has a lease, and sends commands as datagrams."""
 
     def __init__(self, stage, **params):
         self.robot = stage.client()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tests of whole robots share. Each file has a `stage` of its own."""
+"""Fixtures that tests of whole robots share. Each file defines its own `stage`."""
 
 import pytest
 from tests.sim.daemon_stage import armed

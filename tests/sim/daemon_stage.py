@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A daemon on simulated drives, each a process of its own."""
+"""A daemon and its simulated drives, in one process each."""
 
 import contextlib
 import json
@@ -21,30 +21,30 @@ from motord_hal.sim.control import SimControl
 ROOT = Path(__file__).resolve().parents[2]
 ROBOT = ROOT / "config/robots/demo.toml"
 DEADLINE_S = 100.0
-"""Only a hung program takes longer: a busy machine may take half a minute to start one."""
+"""Only a hung program takes longer: a busy machine may need half a minute to start a program."""
 PATIENT = (
     "safety.feedback_timeout_s=2.0",
     "safety.heartbeat_timeout_s=5.0",
     "safety.drive_watchdog_s=2.0",
 )
-"""These tests check what happens, not when: a delay by a busy machine is no fault."""
+"""Settings with which a delay by a busy machine is no fault: these tests do not check times."""
 SLOW = (
     "joint.left.reply_timeout_s=0.2",
     "joint.right.reply_timeout_s=0.2",
     "loop.rate_hz=250",
 )
-"""Slows the demonstration's robot, for the same reason: a faster loop takes a third of a CPU in
-each of the tests that run side by side."""
+"""Settings that slow the demonstration's robot: a faster loop takes a third of a CPU in each of the
+tests that run side by side."""
 UNHURRIED = (
     "input.socket.kind=socket", "input.socket.lease_s=1.0", "safety.command_timeout_s=1.0",
 )  # fmt: skip
-"""A command that a busy machine delays is no fault."""
+"""Settings with which a command that a busy machine delays is no fault."""
 RETRIED = tuple(
     f"joint.{name}.{setting}"
     for name in ("left", "right")
     for setting in ("tries=10", "reply_timeout_s=0.2")
 )
-"""Nor is a delayed reply, for two joints called left and right."""
+"""Settings with which a delayed reply is no fault, for two joints called left and right."""
 SURE = (*UNHURRIED, *RETRIED)
 POLL_S = 0.03
 LATCHED_S = 15.0
@@ -55,13 +55,13 @@ HELD_TORQUE = (
     *(f"joint.{name}.velocity_max_rad_s=40" for name in ("left", "right")),
     *(f"joint.{name}.speed_loop.torque_max_n_m=1.5" for name in ("left", "right")),
 )
-"""While a busy machine holds up the loop, a drive keeps its torque: no fault for two joints called
-left and right."""
+"""Settings for two joints called left and right whose drives keep their torque while a busy machine
+holds up the loop: with these settings it is no fault."""
 
 
 def patient_on_can(folder, name, profile):
-    """A copy of this robot file and of its drive profile, with time-outs that a stalled simulator
-    on a busy machine does not reach."""
+    """Return a copy of a robot file, which uses a copy of its drive profile. Both have time-outs
+    that a simulator which a busy machine holds up does not reach."""
     drive = (ROOT / f"config/drives/{profile}.toml").read_text(encoding="utf-8")
     drive = re.sub(r"silence_s = .*", "silence_s = 5.0", drive)
     (folder / "patient.toml").write_text(
@@ -75,7 +75,7 @@ def patient_on_can(folder, name, profile):
 
 
 def wait_until(condition, what, deadline_s=DEADLINE_S):
-    """Calls `condition` until it is true; returns its value, or fails with `what`."""
+    """Call `condition` until it is true, and return its value; fail with `what` at the deadline."""
     end_s = time.monotonic() + deadline_s
     while not (found := condition()):
         assert time.monotonic() < end_s, f"{what}: not within {deadline_s} s"
@@ -95,7 +95,7 @@ class Stage:
         return self.robot.status()["state"]
 
     def wait_for(self, *states):
-        """Waits for one of these states. A fault that stays latched for LATCHED_S fails."""
+        """Wait for one of these states. Fail when a fault stays latched for LATCHED_S instead."""
         latched_s = None
 
         def there():
@@ -120,7 +120,7 @@ class Stage:
 
 
 def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
-    """Arms and drives until the wheels are fast; resets a fault of a busy machine."""
+    """Arm and drive until the wheels are fast; reset a fault that a busy machine causes."""
 
     def turning():
         with contextlib.suppress(Refused):
@@ -137,8 +137,8 @@ def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
 
 
 def obeying(stage, command):
-    """Armed and moving; `command` is called with whether motion may be commanded yet. A fault that
-    a busy machine latched meanwhile is reset."""
+    """Arm, and wait until the robot moves. Call `command` repeatedly with whether motion may be
+    commanded yet. Reset a fault that a busy machine latched meanwhile."""
 
     def attempt():
         state = stage.state()
@@ -154,7 +154,7 @@ def obeying(stage, command):
 
 
 def becomes_idle(stage):
-    """Resets a latched fault, also one of a busy machine, and disarms."""
+    """Reset a latched fault, also one that a busy machine caused, and disarm."""
 
     def idle():
         with contextlib.suppress(ClientError):
@@ -171,13 +171,13 @@ TRIES = 3
 
 
 def was_held_up(error):
-    """Whether a busy machine ended a motion, by holding up the program or its feedback for half a
-    second. An overshoot is not among these reasons: it is a failure."""
+    """Return whether a busy machine ended a motion, because it held up the program or its feedback
+    for half a second. An overshoot is not among these reasons: it is a failure."""
     return any(why in str(error) for why in ("stale", "was not read"))
 
 
 def in_time(move):
-    """The result of `move`, which is repeated where it was held up, at most TRIES times."""
+    """Return the result of `move`; repeat it where it was held up, up to TRIES times."""
     for _ in range(TRIES - 1):
         try:
             return move()
@@ -189,7 +189,7 @@ def in_time(move):
 
 @contextlib.contextmanager
 def armed(stage):
-    """The robot of `stage`, armed, whatever it was before; at the end it is disarmed and rests."""
+    """Arm the robot of `stage` from any state; at the end disarm it and wait until it rests."""
 
     def ready():
         with contextlib.suppress(ClientError):
@@ -220,7 +220,7 @@ def connected(daemon, socket, log):
 
 
 def ended(daemon):
-    """Ends it by a signal, and at the deadline by SIGKILL."""
+    """End the daemon by SIGTERM, at the deadline by SIGKILL."""
     daemon.send_signal(signal.SIGCONT)
     daemon.terminate()
     try:
@@ -244,7 +244,7 @@ def running(
     sim_options=(),
     faults=(),
 ):
-    """A daemon. Its robot's name is unique, because each name has one state page."""
+    """Run a daemon; yield its Stage. The robot's name is unique: each name has one state page."""
     with contextlib.ExitStack() as cleanup:
         sim, places = None, [f"line.rs485.port={json.dumps(str(folder / 'nothing'))}"]
         if simulated:

@@ -32,11 +32,11 @@ SETTINGS = (
     "loop.rate_hz=250", "input.socket.kind=socket", "input.socket.lease_s=1.0",
     "safety.command_timeout_s=1.0",
 )  # fmt: skip
-"""A delay by a busy machine is no fault."""
+"""Settings with which a delay by a busy machine is no fault."""
 
 
 class Screen:
-    """The command's output and its keyboard."""
+    """Output of a command at a terminal, and its keyboard."""
 
     def __init__(self, process, master):
         self.process, self.master, self.text, self._seen = process, master, "", 0
@@ -48,13 +48,13 @@ class Screen:
             data = os.read(self.master, 65536)
         except OSError:  # the other end is closed
             return False
-        # progress lines are overwritten: they are dropped
+        # drop progress lines, which are overwritten
         text = data.decode(errors="replace").replace("\r\n", "\n")
         self.text += re.sub(r"\r\x1b\[K[^\n\r]*", "", text)
         return bool(data)
 
     def wait(self, pattern):
-        """Waits for the pattern, after the text that was waited for before."""
+        """Wait for the pattern in the text after the previous match; return the match."""
         end_s = time.monotonic() + DEADLINE_S
         while not (found := re.search(pattern, self.text[self._seen :])):
             assert time.monotonic() < end_s, f"{pattern}: not within {DEADLINE_S} s\n{self.text}"
@@ -63,7 +63,7 @@ class Screen:
         return found
 
     def until(self, condition, what):
-        """Waits for the condition; fails if the command ends first."""
+        """Wait for the condition; fail if the command ends first."""
 
         def found():
             ended = self.process.poll() is not None
@@ -77,8 +77,8 @@ class Screen:
         os.write(self.master, text.encode())
 
     def answers(self, replies):
-        """Answers each question until the command ends. `replies`: pattern of a question → its
-        answer, or a function that returns it. Returns the exit status."""
+        """Answer each question until the command ends; return the exit status. `replies`: pattern
+        of a question → its answer, or a function that returns it."""
         pattern = "|".join(f"(?:{one})" for one in replies)
         while True:
             end_s = time.monotonic() + DEADLINE_S
@@ -98,21 +98,21 @@ class Screen:
         return found
 
     def end(self):
-        """Its exit status; `text` is complete then."""
+        """Wait until the command ends; return its exit status. `text` is complete then."""
         end_s = time.monotonic() + DEADLINE_S
         while self._read(0.1) and time.monotonic() < end_s:
             pass
         return self.process.wait(DEADLINE_S)
 
     def hang_up(self):
-        """The terminal is gone, as when an SSH connection breaks."""
+        """Close the terminal, as a broken SSH connection does."""
         os.close(self.master)
         self.master = -1
 
 
 @contextlib.contextmanager
 def at_terminal(*words):
-    """`motord WORDS` with a controlling terminal of its own."""
+    """Run `motord WORDS` with a controlling terminal of its own; yield its Screen."""
     master, slave = pty.openpty()
     process = subprocess.Popen(
         [*AT_TERMINAL, sys.executable, "-m", "motord", *map(str, words)],
@@ -128,13 +128,13 @@ def at_terminal(*words):
         process.wait()
         while screen.master >= 0 and select.select([master], [], [], 0.0)[0] and screen._read(0.0):
             pass
-        print(screen.text)  # shown where the test fails
+        print(screen.text)  # pytest shows it when the test fails
         if screen.master >= 0:
             os.close(master)
 
 
 def copied(folder, robot=ROBOT, replaced=()):
-    """A copy of a robot file; `replaced`: pairs of texts."""
+    """Return a copy of a robot file. `replaced`: pairs of an old and a new text."""
     place = Path(folder) / "cart.toml"
     text = robot.read_text(encoding="utf-8")
     for old, new in replaced:
@@ -146,8 +146,8 @@ def copied(folder, robot=ROBOT, replaced=()):
 
 @contextlib.contextmanager
 def robot_of(folder, file, *settings, truth=(), wheels=(), faults=(), simulator=()):
-    """A daemon that runs by `file`. The simulated robot differs from it by `truth`, settings of the
-    simulator, and by `wheels`, their physics. `simulator`: more options."""
+    """Run a daemon with `file`. The simulated robot differs from the file by `truth`, settings of
+    the simulator, and by `wheels`, the wheels' physics. `simulator`: more options of it."""
     options = [part for setting in truth for part in ("--set", setting)]
     options += [part for setting in wheels for part in ("--wheel", setting)]
     options += simulator
@@ -162,7 +162,7 @@ def robot_of(folder, file, *settings, truth=(), wheels=(), faults=(), simulator=
 
 
 class Floor:
-    """A person with a tape and marks on the floor, simulated by the simulator's truth."""
+    """A person with a tape measure and marks on the floor, who measures the simulator's truth."""
 
     def __init__(self, stage):
         self._sim = stage.sim
@@ -193,8 +193,8 @@ class Floor:
 
 
 def calibrated(stage, *words, write="y"):
-    """Exit status and text of `motord calibrate WORDS`, answered by a Floor; run again where a busy
-    machine held it up, at most TRIES times."""
+    """Run `motord calibrate WORDS`, answered by a Floor; return exit status and text. Repeat it
+    where a busy machine held it up, up to TRIES times."""
     for number in range(TRIES):
         if number:
             becomes_idle(stage)

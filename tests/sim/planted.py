@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bus kinds of another package, in motord-bus. One is an input that commands while its order says
-so, and breaks its process as ordered."""
+"""Adapters of another package in motord-bus. One is an input that commands and breaks its process
+by the orders in a file."""
 
 import contextlib
 from pathlib import Path
@@ -51,7 +51,7 @@ class Planted:
 
 
 def offered(folder, group, name, code, made_by):
-    """Writes a package with that code and entry point; returns the environment that finds it."""
+    """Write a package with that code and entry point; return the environment that finds it."""
     (folder / f"{name}_kind.py").write_text(code, encoding="ascii")
     info = folder / f"{name}_kind-1.0.dist-info"
     info.mkdir()
@@ -62,7 +62,7 @@ def offered(folder, group, name, code, made_by):
 
 
 class Planted:
-    """The kind of [input.planted]."""
+    """The adapter of [input.planted]: its package, its settings, and its orders."""
 
     def __init__(self, folder):
         self._order = Path(folder) / "order"
@@ -73,12 +73,12 @@ class Planted:
         )  # fmt: skip
 
     def order(self, word):
-        """`drive` lasts until the next order; `segfault`, `leak` and `loop` happen at once."""
+        """Give an order: `drive` lasts until the next one; `segfault`, `leak`, `loop` act once."""
         whole = self._order.with_suffix(".new")
         whole.write_text(word, encoding="ascii")
         whole.replace(self._order)
 
     def rest(self):
-        """Removes the order: the input commands no more."""
+        """Remove the order: the input sends no more commands."""
         with contextlib.suppress(FileNotFoundError):
             self._order.unlink()

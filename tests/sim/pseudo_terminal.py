@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A program at a terminal of its own, as over SSH: this side is the keyboard and the screen."""
+"""A program at a terminal of its own, as over SSH, and the keyboard and screen of that terminal."""
 
 import contextlib
 import os
@@ -17,11 +17,11 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT
 
 PING, PONG = b"\x1b[5n", b"\x1b[0n"
 REPEAT_S = 0.033
-"""The repeat period of a keyboard."""
+"""Period in which a keyboard repeats a held key."""
 
 
 class PseudoTerminal:
-    """`answers`: whether it answers status reports, like a terminal with a fast link."""
+    """A terminal. `answers`: whether it answers status requests, as one with a fast link does."""
 
     def __init__(self, *words, answers=True, columns=80, rows=24, environ=None):
         self.master, slave = pty.openpty()
@@ -42,7 +42,7 @@ class PseudoTerminal:
         os.write(self.master, keys.encode())
 
     def look(self, within_s=0.0):
-        """Reads what the program has written, and answers its status requests."""
+        """Read what the program has written, and answer its status requests."""
         while select.select([self.master], [], [], within_s)[0]:
             try:
                 data = os.read(self.master, 65536)
@@ -62,7 +62,7 @@ class PseudoTerminal:
         return plain.decode(errors="replace")
 
     def wait_until(self, condition, what, keys=""):
-        """`keys` are held meanwhile."""
+        """Wait for the condition with `keys` held down; return its value."""
         end_s = time.monotonic() + DEADLINE_S
         while not (found := condition()):
             assert time.monotonic() < end_s, f"{what}: not within {DEADLINE_S} s\n{self.text}"
@@ -81,7 +81,7 @@ class PseudoTerminal:
         return self.process.returncode
 
     def hang_up(self):
-        """The window is closed, or the connection ends."""
+        """Close the terminal, as a closed window or a broken connection does."""
         os.close(self._slave)
         os.close(self.master)
         self._slave = self.master = -1

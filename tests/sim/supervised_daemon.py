@@ -6,11 +6,11 @@ import socket
 WATCHDOG_S = 1.0
 
 PATIENCE_S = 1.5 * WATCHDOG_S
-"""Half as long again as the supervisor would wait."""
+"""Time after which a supervisor would surely have acted."""
 
 
 def supervised(tmp_path):
-    """A socket that listens like systemd's, and the daemon's environment for it."""
+    """Return a socket that listens as systemd's does, and the daemon's environment for it."""
     supervisor = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     supervisor.bind(str(tmp_path / "notify"))
     supervisor.settimeout(0.0)

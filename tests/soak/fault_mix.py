@@ -14,11 +14,11 @@ UNITS = 4
 BATCH_S = 1.6
 """The faults of a batch begin within this time."""
 RARE_PART = 0.8
-"""This part of the reply faults hits a reply now and then during the whole batch: the robot drives
-on, and what it accepts is checked. The others hit every reply for a moment."""
+"""Part of the reply faults that hit single replies during the whole batch: the robot drives on, and
+the counts that it accepts are checked. The other faults hit every reply for a moment."""
 RARE_P = 0.02
 FAULT_BITS = (0, 2, 5, 10)
-"""Bits of the profile, one of them a warning."""
+"""Fault bits of the profile, one of them a warning."""
 VARIANTS = {
     "late-for-long": ("delay", {"ms": (5.0, 100.0), "for_s": (0.2, BATCH_S), "p": (1.0, 1.0)}),
     "exception-code-0": ("exception", {"code": (0.0, 0.0), "p": (RARE_P, 1.0)}),
@@ -26,7 +26,7 @@ VARIANTS = {
 """Kinds of this mix: a kind of the simulator, and the ranges of its values. A drive answers so late
 that replies meet newer requests; an exception has a code that the standard does not have."""
 UNTAGS = "encoder-wrap"
-"""Removes the tags of the counters, so it comes in the second half of a robot's life."""
+"""Kind that removes the tags of the counters: it comes in the second half of a robot's life."""
 _NOT_OF_LINES = ("unheard", "bus-off", *MOTOR_DEFECTS)
 SERIAL_KINDS = (*(kind for kind in KINDS if kind not in _NOT_OF_LINES), *VARIANTS)
 """All kinds of a serial line: two belong to CAN alone. Defects of motor and encoder change what is
@@ -56,7 +56,7 @@ _BITRATES = (9600, 38400, 57600, 230400)
 def batches(
     seed: int, faults: int, size: int, of: Sequence[str] = SERIAL_KINDS
 ) -> Iterator[list[tuple[str, str]]]:
-    """Kind and text of the faults of one robot's life; the same seed gives the same."""
+    """Yield the batches of one robot's life: kind and text of each fault, determined by `seed`."""
     dice = random.Random(seed)
     kinds = list(itertools.islice(itertools.cycle(_shuffled(dice, list(of))), faults))
     dice.shuffle(kinds)
@@ -80,7 +80,7 @@ def _shuffled(dice: random.Random, items: list[str]) -> list[str]:
 
 
 def fault(dice: random.Random, kind: str) -> str:
-    """One fault of that kind: short, somewhere in the batch, at one drive or at all."""
+    """Return a fault of that kind: short, somewhere in the batch, at one drive or at all."""
     kind, ranges = VARIANTS.get(kind, (kind, {}))
     keys = KINDS[kind].keys
     values: dict[str, float] = {}

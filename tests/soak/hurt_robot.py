@@ -37,11 +37,11 @@ PROFILE = HERE / "soak-servo.toml"
 LINE = "rs485"
 DEADLINE_S = 100.0
 RECOVER_S = 100.0
-"""From the last fault's end until the robot moves again: back-off of 2 s, opening, set-up and
-arming. A busy machine may delay each."""
+"""Longest time from the last fault's end until the robot moves again: back-off of 2 s, opening,
+set-up and arming. A busy machine may delay each."""
 REST_S = 5.0
-"""From a latched fault until the wheels rest: 0.5 s of the drives' watchdog, or 2.5 s in which
-friction stops a wheel of 12 rad/s without power; the rest is for a busy machine."""
+"""Longest time from a latched fault until the wheels rest: 0.5 s of the drives' watchdog, or 2.5 s
+in which friction stops a wheel of 12 rad/s without power; the remainder is for a busy machine."""
 TURNING_RAD_S = 0.5
 
 
@@ -68,9 +68,9 @@ class Outcome:
 
 
 def limit_m_s() -> tuple[float, float]:
-    """The highest speed of a wheel's rim, and its tolerance: half a step of the set-point's
+    """Return the highest speed of a wheel's rim, and its tolerance: half a step of the set-point's
     register, and the deflection of a wheel's speed loop when friction reverses. A step of load
-    deflects a PI loop by less than its proportional gain alone would."""
+    deflects a PI loop less than a loop with its proportional gain alone."""
     robot = tomllib.loads(ROBOT.read_text(encoding="utf-8"))
     radius_m = robot["base"]["wheel_radius_m"]
     fastest_rad_s = max(joint["velocity_max_rad_s"] for joint in robot["joint"].values())
@@ -82,7 +82,7 @@ def limit_m_s() -> tuple[float, float]:
 
 
 def wait_for(condition: Callable[[], Any], within_s: float, what: str) -> Any:
-    """The first true value of `condition`. Raises Violation at the deadline."""
+    """Return the first true value of `condition`. Raise Violation at the deadline."""
     end_s = time.monotonic() + within_s
     while not (found := condition()):
         if time.monotonic() > end_s:
@@ -134,7 +134,7 @@ class HurtRobot:
     log: Path
     daemon: subprocess.Popen[bytes]
     refusal: str = ""
-    """What the daemon answered when it last refused to reset or to arm."""
+    """Answer of the daemon when it last refused to reset or to arm."""
 
     # -------------------------------------------------------------------------------- the state
     def status(self) -> dict[str, Any]:
@@ -150,7 +150,7 @@ class HurtRobot:
 
     # ------------------------------------------------------------------------------- the actions
     def recover(self, end_s: float) -> bool:
-        """Brings the robot to rest, resets, arms and drives again. False: not before `end_s`."""
+        """Bring the robot to rest, reset, arm, drive. Return whether it moves before `end_s`."""
         while time.monotonic() < end_s:
             state = self.status()["state"]
             if state in ("armed", "moving"):
@@ -175,7 +175,7 @@ class HurtRobot:
             self.refusal = str(refusal)
 
     def _arm(self) -> None:
-        """A drive that latched a fault while the robot was idle needs a reset before arming."""
+        """Arm; reset after a refusal, which a drive needs that latched a fault in idle."""
         try:
             self.robot.arm()
         except Refused as refusal:
@@ -183,7 +183,7 @@ class HurtRobot:
             self.robot.reset()
 
     def suffer(self, faults: list[str]) -> float:
-        """Injects a batch of faults while it drives; returns the seconds until it moved again."""
+        """Inject faults while the robot drives; return the seconds until it moved again."""
         for text in faults:
             self.sim.inject(text)
         end_s = time.monotonic() + BATCH_S + 0.4
@@ -214,7 +214,7 @@ class HurtRobot:
 
     # ------------------------------------------------------------------------------- the checks
     def check(self) -> None:
-        """Raises Violation."""
+        """Raise Violation if a count was not reported or a wheel was too fast."""
         self.reported.check(self.sim)
         if self.reported.violations:
             raise Violation("; ".join(self.reported.violations[:5]))
@@ -228,7 +228,7 @@ class HurtRobot:
 
 @contextlib.contextmanager
 def standing(folder: Path, seed: int, engine: str) -> Iterator[HurtRobot]:
-    """Simulator, daemon and driver of one robot; all are gone at the end."""
+    """Run simulator, daemon and driver of one robot until the end of the block."""
     with contextlib.ExitStack() as cleanup:
         simulator = cleanup.enter_context(
             start_simulator(
@@ -301,7 +301,7 @@ def live(
     kinds: Sequence[str] = SERIAL_KINDS,
     sent: Callable[[str], None] = print,
 ) -> Outcome:
-    """One robot from its start to the last fault; returns its outcome."""
+    """Run one robot from its start to the last fault; return its outcome."""
     outcome = Outcome(seed, engine)
     began_s = time.monotonic()
     with (

@@ -12,10 +12,10 @@ from motord_hal.drives.profile import Register
 from motord_hal.sim.control import SimControl
 
 EXCHANGE_S = 0.05
-"""The longest exchange: 1 ms turn-around and 20 ms allowance, 2 ms on the wire, and as much again
-for a late machine."""
+"""Longest duration of an exchange: 1 ms turn-around, 20 ms allowance, 2 ms on the wire, and as much
+again for a late machine."""
 PAGE = 1000
-"""Entries of the journal in one answer."""
+"""Largest number of journal entries in one answer."""
 
 
 @dataclass(slots=True)
@@ -28,7 +28,7 @@ class Unit:
 
 @dataclass(slots=True)
 class Reported:
-    """`units`: the drive of each joint, in the core's order."""
+    """Checker of the counts. `units`: unit of each joint's drive, in the core's order."""
 
     line: str
     units: tuple[int, ...]
@@ -37,7 +37,7 @@ class Reported:
     violations: list[str] = field(default_factory=list)
     checked: int = 0
     old: int = 0
-    """Answers to an earlier, equal request of the same drive: RTU cannot distinguish them."""
+    """Number of answers to an earlier, equal request of a drive: RTU cannot distinguish them."""
     oldest_s: float = 0.0
     _read: int = 0
     _known: dict[int, Unit] = field(default_factory=dict)

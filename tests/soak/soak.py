@@ -33,7 +33,7 @@ ENGINES = {"rt": ("rt",), "asyncio": ("asyncio",), "both": ("rt", "asyncio")}
 
 
 def lives(faults: int, seed: int, engine: str) -> list[tuple[int, str, int]]:
-    """Seed, engine and number of faults of each robot."""
+    """Return seed, engine and number of faults of each robot."""
     dice, left, planned = random.Random(seed), faults, []
     engines = ENGINES[engine]
     while left > 0:
@@ -44,7 +44,7 @@ def lives(faults: int, seed: int, engine: str) -> list[tuple[int, str, int]]:
 
 
 def soak(arguments: argparse.Namespace) -> list[Outcome]:
-    """All lives, `workers` at once. A thread only talks to a robot's own processes."""
+    """Run all lives, `workers` at once. A thread only talks to the processes of its robot."""
     planned = lives(arguments.faults, arguments.seed, arguments.engine)
     lock, done = threading.Lock(), []
 
@@ -71,7 +71,7 @@ def _say(lock: threading.Lock, text: str) -> None:
 
 
 def summary(outcomes: list[Outcome], seed: int, duration_s: float) -> dict[str, object]:
-    """The report at the end."""
+    """Return the report that is printed at the end."""
     counts: Counter[str] = Counter()
     for outcome in outcomes:
         counts += outcome.faults

@@ -19,7 +19,7 @@ from _motord_rt import ffi, lib
 from motord.__main__ import main
 
 LOOK_EVERY_S = 0.01
-"""A cycle of the line is 40 ms."""
+"""Period of the look at the mailboxes; a cycle of the line takes 40 ms."""
 CACHE_LINE_BYTES = 64
 MAILBOX_BYTES = 3 * CACHE_LINE_BYTES
 FRONT_AT = 2 * CACHE_LINE_BYTES
@@ -35,7 +35,7 @@ def box_bytes(value: str) -> int:
 
 
 class Peephole:
-    """The feedback of one joint, in its mailbox."""
+    """Reader of the feedback of one joint in its mailbox."""
 
     def __init__(self, joint: int) -> None:
         before = ("lease_permissions", "command_report", "core_control")

@@ -38,7 +38,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def smoke() -> dict[str, Any]:
-    """Runs each measurement once, as briefly as possible."""
+    """Run each measurement once, as briefly as possible."""
     bus_at_work.SETTLE_S = 0.3
     run = subprocess.run(
         [sys.executable, HERE / "bus_encode.py", "1"], capture_output=True, text=True, check=True
@@ -82,7 +82,7 @@ def table(found: dict[str, Any]) -> str:
 
 
 def verdicts(found: dict[str, Any]) -> Verdicts:
-    """As wire.verdicts."""
+    """Return the verdicts as `wire.verdicts` does."""
     verdicts: Verdicts = []
     sent = found["messages_us"]
     for name, goal_us, topics in (("cdr", CDR_US, sent), ("json", JSON_US, OFTEN)):

@@ -33,14 +33,14 @@ def free_port() -> int:
 
 
 def memory_mb(pid: int) -> dict[str, float]:
-    """Resident memory, and the same with shared pages divided among their users."""
+    """Return the resident memory, and the same with shared pages divided among their users."""
     rows = Path(f"/proc/{pid}/smaps_rollup").read_text(encoding="ascii").splitlines()
     found = {row.split()[0]: int(row.split()[1]) / 1024 for row in rows if row.endswith("kB")}
     return {"rss": found["Rss:"], "pss": found["Pss:"]}
 
 
 def cpu_s(pid: int) -> float:
-    """CPU time of all its threads, by the scheduler's figures: clock ticks are too coarse."""
+    """Return the CPU time of all threads by the scheduler's figures: clock ticks are too coarse."""
     rows = [
         task.read_text(encoding="ascii") for task in Path(f"/proc/{pid}/task").glob("*/schedstat")
     ]
@@ -48,14 +48,14 @@ def cpu_s(pid: int) -> float:
 
 
 def children_s(pid: int) -> float:
-    """CPU of its children that have ended: proc(5), fields 16 and 17 of stat."""
+    """Return the CPU time of children that have ended: proc(5), fields 16 and 17 of stat."""
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
     return (int(fields[13]) + int(fields[14])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextlib.contextmanager
 def stage(*settings: str, **more: Any) -> Iterator[Any]:
-    """`more`: as of `running`."""
+    """Run a simulated robot until it is idle; yield its stage. `more`: arguments of `running`."""
     with (
         tempfile.TemporaryDirectory() as folder,
         running(Path(folder), *settings, **more) as made,
@@ -65,7 +65,7 @@ def stage(*settings: str, **more: Any) -> Iterator[Any]:
 
 
 def bus_pid(made: Any) -> int:
-    """The process number of motord-bus, once it has reported for the first time."""
+    """Return the process number of motord-bus, once it has reported for the first time."""
     return int(wait_until(
         lambda: (found := made.robot.status()["bus"]) and "publishers" in found and found,
         "motord-bus",
@@ -77,10 +77,10 @@ def ros2(rate_hz: float) -> tuple[str, ...]:
 
 
 def memory() -> dict[str, dict[str, float]]:
-    """Memory of the demonstration robot's daemon alone, and of both processes with ROS 2 on DDS;
-    also the CPU of the daemon from its start to `idle`."""
+    """Return the memory of the demonstration robot's daemon alone, and of both processes with ROS 2
+    on DDS; also the CPU time of the daemon from its start to `idle`."""
     with stage() as made:
-        start_s = cpu_s(made.daemon.pid) + children_s(made.daemon.pid)  # one reads the robot file
+        start_s = cpu_s(made.daemon.pid) + children_s(made.daemon.pid)  # one reads the file
         time.sleep(SETTLE_S)
         found = {"daemon alone": memory_mb(made.daemon.pid) | {"cpu_to_idle_s": start_s}}
     with stage(*ros2(FAST_HZ)) as made:
@@ -92,7 +92,7 @@ def memory() -> dict[str, dict[str, float]]:
 
 # --------------------------------------------------------------------------------------------- CPU
 def kinds(folder: Path, broker_port: int | None) -> dict[str, tuple[str, ...]]:
-    """Each publisher that this machine has, alone."""
+    """Return the settings of each kind of publisher that this machine has, one at a time."""
     found = {
         "prometheus, never asked": ("publish.b.kind=prometheus", f"publish.b.port={free_port()}"),
         "ros2": ("publish.b.kind=ros2", f"publish.b.domain_id={DOMAIN}"),
@@ -107,7 +107,7 @@ def kinds(folder: Path, broker_port: int | None) -> dict[str, tuple[str, ...]]:
 
 @contextlib.contextmanager
 def mosquitto(folder: Path) -> Iterator[int | None]:
-    """A broker's port; None where mosquitto is not installed."""
+    """Run a broker and yield its port; yield None if mosquitto is not installed."""
     program = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
     if program is None:
         yield None
@@ -126,8 +126,8 @@ def mosquitto(folder: Path) -> Iterator[int | None]:
 def cpu(
     seconds: float, rates_hz: tuple[int, ...] = (DEFAULT_HZ, FAST_HZ)
 ) -> dict[str, dict[str, float]]:
-    """Percent of one CPU that motord-bus takes with one publisher and its topics, at its default
-    rate and at 50 Hz. No client reads but the broker."""
+    """Return the percentage of one CPU that motord-bus takes with one publisher and its topics, at
+    its default rate and at 50 Hz. No client but the broker reads."""
     found: dict[str, dict[str, float]] = {}
     with (
         tempfile.TemporaryDirectory() as made_folder,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a snapshot to bytes, topic by topic: CDR for ROS 2, JSON for MQTT and rosbridge; compared in
+"""Time from a snapshot to bytes by topic: CDR for ROS 2, JSON for MQTT and rosbridge; compared in
 turns with the encoder of the Cyclone DDS binding and with the standard library's json.
 
-python bus_encode.py [ROUNDS]: one JSON object, µs a message, each the best of its rounds.
+python bus_encode.py [ROUNDS]: prints one JSON object, µs a message, each the best of its rounds.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def imu() -> ImuSnapshot:
 
 
 def moving() -> View:
-    """A moving base, without round numbers."""
+    """Return the view of a moving base, with numbers that are not round."""
     snapshot = Snapshot(
         stamp_ns=90_123_456_789, tick=90_123, machine_state=4, owner=1, reasons=("linear_jerk",),
         faults=(), armed=True, enabled=True, at_rest=False, odometry_degraded=False,
@@ -67,7 +67,7 @@ def moving() -> View:
 
 
 def cyclone(topic: str) -> Callable[[], Any]:
-    """The message, built and serialized like in a program on the Cyclone DDS binding."""
+    """Return a function that serializes the topic's message with the Cyclone DDS binding."""
     from motord.bus.messages.table import TYPES
     from motord.bus.ros2.dds.cyclone_types import cyclone_type
 
@@ -104,7 +104,7 @@ def forms_of(topic: str) -> dict[str, Callable[[], Any]]:
 
 
 def measure(rounds: int) -> dict[str, dict[str, float]]:
-    """µs a message, by topic and form; forms take turns and each keeps its best round."""
+    """Return µs a message, by topic and form; forms take turns and each keeps its best round."""
     view = moving()
     sent = [name for name, topic in TOPICS.items() if as_message(topic, BODY)(view, 0) is not None]
     all_forms = {topic: forms_of(topic) for topic in sent}

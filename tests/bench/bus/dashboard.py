@@ -32,7 +32,7 @@ BYTES_MAX, CPU_MAX, PAINT_MS, LATER, HEAP_GROWS = 250_000, 0.03, 1000, 1.1, 1.2
 
 
 async def viewer(port, until_s, counts):
-    """A page that reads and acknowledges."""
+    """Read and acknowledge frames as a page does; add the size of each to `counts`."""
     async with (
         aiohttp.ClientSession() as session,
         session.ws_connect(f"http://127.0.0.1:{port}/socket", protocols=("motord.1",)) as page,
@@ -46,7 +46,7 @@ async def viewer(port, until_s, counts):
 
 
 def watch(port, viewers, seconds):
-    """The frames that this many viewers receive in this time."""
+    """Return the sizes of all frames that this many viewers receive in this time."""
 
     async def run():
         counts = []
@@ -68,7 +68,7 @@ def cpu_s(pid):
 
 
 def cpu_share(stage, port, viewers, seconds):
-    """Shares of one core that motord-bus and the daemon take."""
+    """Return the shares of one core that motord-bus and the daemon take, and frames a second."""
     pids = (stage.robot.status()["bus"]["pid"], stage.robot.status()["pid"])
     before = [cpu_s(pid) for pid in pids]
     began_s = time.monotonic()
@@ -79,7 +79,7 @@ def cpu_share(stage, port, viewers, seconds):
 
 
 def lateness_us(stage, port, viewers, seconds):
-    """p50 and p99 of the ticks meanwhile."""
+    """Return p50 and p99 of the lateness of the ticks during this time."""
     before = {low: n for low, _, n in stage.robot.call("latency")["buckets"]["lateness"]}
     watch(port, viewers, seconds)
     after = stage.robot.call("latency")["buckets"]["lateness"]
@@ -98,8 +98,8 @@ def lateness_us(stage, port, viewers, seconds):
 
 
 def measure(seconds, rounds, times, heap_s, plots_s):
-    """`seconds`: of each measurement on the robot's side; `rounds`: pairs of lateness; `times`: of
-    each end of a hold."""
+    """Return all figures. `seconds`: length of each measurement on the robot's side; `rounds`:
+    number of lateness pairs; `times`: number of holds that are ended in each manner."""
     port = free_port()
     settings = (
         "input.web.kind=web", f"input.web.port={port}", "input.web.trust_loopback=true",
@@ -112,7 +112,7 @@ def measure(seconds, rounds, times, heap_s, plots_s):
             stage.wait_for("idle")
             wait_until(lambda: listens(port), "the dashboard listens")
             wait_until(lambda: stage.robot.status()["bus"].get("pid"), "motord-bus")
-            time.sleep(min(3.0, seconds))  # every process has started
+            time.sleep(min(3.0, seconds))  # every process has started by then
             none, one = (cpu_share(stage, port, count, seconds) for count in (0, 1))
             pairs = [
                 (lateness_us(stage, port, 0, seconds), lateness_us(stage, port, VIEWERS, seconds))
@@ -130,7 +130,7 @@ def measure(seconds, rounds, times, heap_s, plots_s):
 
 
 def verdicts(found):
-    """As wire.verdicts."""
+    """Return the verdicts as `wire.verdicts` does."""
     share = found["cpu_share"]["one"]["motord_bus"] - found["cpu_share"]["none"]["motord_bus"]
     late = found["lateness_ratio"]["p99"]
     rows = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the dashboard's page costs a browser, and how soon it stops the robot: in Chromium."""
+"""Measurements in Chromium: what the dashboard's page costs, and how soon it stops the robot."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HEAP_FILLS_S = 120.0
 """After this time the page's ring buffers are full, and its functions compiled."""
 HEAP_LOOKS, HEAP_LOOK_EVERY_S = 10, 1.0
 LONG_MS = 50.0
-"""A person notices an animation frame that takes longer (w3.org/TR/longtasks-1)."""
+"""Length from which a person notices an animation frame (w3.org/TR/longtasks-1)."""
 STATE = 1
 WHEELS = 8
 
@@ -33,7 +33,7 @@ def percentile(values, part):
 
 
 def first_paint_ms(browser, port):
-    """Median of five loads without a cache."""
+    """Return the median of five loads without a cache."""
     found = []
     for _ in range(5):
         context = browser.new_context()
@@ -68,8 +68,8 @@ def cut(_, link):
 
 
 def until_zero_ms(browser, stage, port, times, ending):
-    """From the end of a hold to the first requested speed of zero on the state page. The ramp that
-    follows depends on the robot's limits."""
+    """Measure the time from the end of a hold to the first requested speed of zero on the state
+    page. The ramp that follows depends on the robot's limits, so it is left out."""
     found = []
     with StatePage.open(stage.robot.status()["robot"]) as state, LinkProxy(port) as link:
         page = browser.new_page()
@@ -103,11 +103,11 @@ def until_zero_ms(browser, stage, port, times, ending):
 
 
 def heap_bytes(browser, port, seconds):
-    """JavaScript's heap on the page of plots: when its buffers are full, and at the end of this
-    time.
+    """Return the size of JavaScript's heap on the page of plots: when its buffers are full, and at
+    the end of this time.
 
-    Each is the least of several samples, each after a collection: what is being drawn or has just
-    arrived is alive in some samples, and what has leaked is alive in all."""
+    Each size is the least of several samples, each after a garbage collection: what is being drawn
+    or has just arrived is alive in some samples, and what has leaked is alive in all."""
     page = browser.new_page()
     page.goto(f"http://127.0.0.1:{port}/#plots")
     session = page.context.new_cdp_session(page)
@@ -129,7 +129,7 @@ def heap_bytes(browser, port, seconds):
 
 
 def eight_wheels():
-    """A robot file: an omni base with the largest number of joints, on two lines."""
+    """Return a robot file: an omni base with the largest number of joints, on two lines."""
     text = """[robot]
 name = "eight"
 [base]
@@ -178,8 +178,8 @@ FRAMES = """() => {
 
 
 def plots(browser, folder, seconds):
-    """All plots of eight joints at 50 states a second: states that the page has missed, and its
-    animation frames."""
+    """Show all plots of eight joints at 50 states a second; return how many states the page has
+    missed, and figures of its animation frames."""
     file, port = Path(folder) / "eight.toml", free_port()
     file.parent.mkdir()
     file.write_text(eight_wheels(), encoding="utf-8")
@@ -214,7 +214,7 @@ def plots(browser, folder, seconds):
 
 
 def in_chromium(stage, folder, port, times, heap_s, plots_s):
-    """All of it, by the stage's dashboard at that port."""
+    """Run all measurements of this module on the stage's dashboard at this port."""
     chromium = installed_chromium()
     try:
         from playwright.sync_api import sync_playwright

@@ -65,7 +65,7 @@ def counted(status: dict[str, Any]) -> Figures:
 
 
 def window(made: Any, seconds: float) -> Figures:
-    """Lateness of all ticks in the window, the counts, and exchanges by ticks."""
+    """Return the lateness of all ticks in a window, the counts, and exchanges per tick."""
 
     def look() -> tuple[dict[tuple[int, int], int], Figures]:
         bars = made.robot.latency()["buckets"]["lateness"]
@@ -85,8 +85,8 @@ def window(made: Any, seconds: float) -> Figures:
 
 
 def pairs(made: Any, disturbance: Disturbance, count: int, seconds: float) -> dict[str, Any]:
-    """Alternates calm and disturbed windows. Counts are sums, figures medians; `ratio` is disturbed
-    by calm, the median of the pairs' ratios."""
+    """Alternate calm and disturbed windows. Counts are sums, other figures medians; `ratio` has the
+    medians of disturbed divided by calm of each pair."""
     rows: list[tuple[Figures, Figures]] = []
     for _ in range(count):
         calm = window(made, seconds)
@@ -111,7 +111,7 @@ COUNTS = ("ticks", "overruns", "page_faults", "exchanges", "errors")
 # ---------------------------------------------------------------------------------- a stuck reader
 @contextlib.contextmanager
 def reader(*command: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A reader that has begun to read; its output is read."""
+    """Run a reader and yield it once it has begun to read; read its output meanwhile."""
     process = subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, cwd=ROOT)
     assert process.stdout is not None
     try:
@@ -128,7 +128,7 @@ def reader(*command: str) -> Iterator[subprocess.Popen[bytes]]:
 
 @contextlib.contextmanager
 def stopped(*pids: int) -> Iterator[None]:
-    """Stops these processes while it is entered."""
+    """Stop these processes until the end of the block."""
     for pid in pids:
         os.kill(pid, signal.SIGSTOP)
     try:
@@ -139,7 +139,7 @@ def stopped(*pids: int) -> Iterator[None]:
 
 
 def readers(count: int, seconds: float) -> dict[str, Any]:
-    """One reader of DDS and one of rosbridge, which read or are stopped."""
+    """Measure with a reader of DDS and one of rosbridge: disturbed means that both are stopped."""
     port = bus_at_work.free_port()
     fast_hz = bus_at_work.FAST_HZ
     settings = (*bus_at_work.ros2(fast_hz), "publish.w.kind=rosbridge", f"publish.w.port={port}",
@@ -159,14 +159,14 @@ def readers(count: int, seconds: float) -> dict[str, Any]:
 
 # ------------------------------------------------------------------------------- motord-bus itself
 class Struck:
-    """motord-bus, which is hit at the beginning of a window."""
+    """Disturbance that stops or breaks motord-bus at the beginning of a window."""
 
     def __init__(self, made: Any, planted: Planted, what: str) -> None:
         self._made, self._planted, self._what = made, planted, what
 
     @contextlib.contextmanager
     def __call__(self) -> Iterator[None]:
-        """Waits until another process runs, for the next window."""
+        """Disturb a window; at its end wait until another motord-bus runs."""
         pid = bus_at_work.bus_pid(self._made)
         if self._what.startswith("SIG"):
             os.kill(pid, signal.Signals[self._what])
@@ -180,7 +180,7 @@ class Struck:
 
 
 def struck(what: str, count: int, seconds: float) -> dict[str, Any]:
-    """motord-bus publishes; it is killed, stopped, or leaks or loops by itself."""
+    """Measure while motord-bus publishes and is killed, stopped, or leaks or fails by itself."""
     with tempfile.TemporaryDirectory() as folder:
         planted = Planted(Path(folder))
         settings = (*bus_at_work.ros2(bus_at_work.FAST_HZ), *planted.settings)
@@ -195,7 +195,7 @@ STRIKES = ("SIGKILL", "SIGSTOP", "segfault", "leak")
 
 
 def measure(reader_pairs: int, strike_pairs: int, seconds: float) -> dict[str, Any]:
-    """The figures of each disturbance."""
+    """Return the figures of each disturbance."""
     found = {"readers stopped": readers(reader_pairs, seconds)}
     return found | {f"motord-bus: {what}": struck(what, strike_pairs, seconds) for what in STRIKES}
 

@@ -36,7 +36,7 @@ with zenoh.open(zenoh.Config.from_json5(settings % sys.argv[1])):
 
 
 def settings(kind: str) -> list[str]:
-    """Settings of each robot, with its number for {n}; topics and rates are the defaults."""
+    """Return settings for a robot: {n} stands for its number; topics and rates are the defaults."""
     if kind == "mqtt":
         return [
             "publish.b.kind=mqtt",
@@ -70,7 +70,7 @@ def started(*command: str, ready: bool = True) -> Iterator[subprocess.Popen[str]
 
 @contextlib.contextmanager
 def middle(kind: str, wire: Cable, folder: Path) -> Iterator[int | None]:
-    """The broker or router, if this kind has one."""
+    """Run the broker or router if this kind needs one; yield its process number, else None."""
     there = inside(wire.there)
     if kind == "mqtt":
         config = folder / "mosquitto.conf"
@@ -86,7 +86,7 @@ def middle(kind: str, wire: Cable, folder: Path) -> Iterator[int | None]:
 
 
 def bytes_on(wire: Cable) -> tuple[int, int]:
-    """Bytes that the one robot has received and sent."""
+    """Return the bytes that the complete robot has received and sent."""
     run = subprocess.run(
         ["ip", "-n", wire.here, "-j", "-s", "link", "show", "cable"],
         check=True, capture_output=True, text=True,
@@ -96,7 +96,7 @@ def bytes_on(wire: Cable) -> tuple[int, int]:
 
 
 def one(kind: str, others: int) -> dict[str, float]:
-    """Figures of the one robot among so many others."""
+    """Return the figures of the complete robot among so many others."""
     with (
         tempfile.TemporaryDirectory() as made_folder,
         cable() as wire,
@@ -145,7 +145,7 @@ def one(kind: str, others: int) -> dict[str, float]:
 
 
 def measure(others: int, kinds: tuple[str, ...]) -> dict[str, list[dict[str, float]]]:
-    """The one robot's figures, alone and among the others."""
+    """Return the complete robot's figures by kind, alone and among the others."""
     return {kind: [one(kind, number) for number in (0, others)] for kind in kinds}
 
 

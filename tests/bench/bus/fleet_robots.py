@@ -31,7 +31,7 @@ def runtime(number: int, settings: list[str]) -> Runtime:
 
 
 async def drive(stations: list[Runtime]) -> None:
-    """Gives each a current snapshot, until cancelled."""
+    """Give each robot's runtime a current snapshot periodically, until cancelled."""
     snapshot = moving().snapshot
     while True:
         now_ns = time.monotonic_ns()

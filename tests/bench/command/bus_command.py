@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a cmd_vel on DDS to its first byte on the wire: a writer on the Cyclone DDS binding
+"""Time from a cmd_vel on DDS to its first byte on the wire: a writer on the Cyclone DDS binding
 (TwistStamped), motord-bus, the real daemon, its real-time line, and a slave that reports when the
-bytes came. Idle, and with busy Python threads in motord-bus and in the daemon; datagram.py measures
-the part from the daemon on.
+bytes came; without and with busy Python threads in motord-bus or in the daemon. datagram.py
+measures the part from the daemon on.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ lease_s = 2.0
 GOAL_P50_MS, GOAL_P99_MS, GOAL_RATIO = 0.25, 1.0, 2.0
 HOGGED = ROOT / "tests/peers/ros2/hogged"
 WHERE = {"idle": (0, 0), "busy motord-bus": (0, 4), "busy daemon": (4, 0)}
-"""Busy Python threads in the daemon, and in motord-bus."""
+"""Numbers of busy Python threads in the daemon and in motord-bus."""
 Found = dict[str, dict[str, float]]
 
 
 @contextlib.contextmanager
 def writer() -> Iterator[Any]:
-    """Writes one TwistStamped, stamped now, at each call. It is encoded before the clock is read:
-    the time of a Python encoder is not measured."""
+    """Yield a function that writes one TwistStamped, stamped now. It encodes the message before it
+    reads the clock of the measurement, so the time of a Python encoder is not measured."""
     from cyclonedds._clayer import ddspy_write
     from cyclonedds.domain import Domain, DomainParticipant
     from cyclonedds.pub import DataWriter
@@ -61,7 +61,7 @@ def writer() -> Iterator[Any]:
     entity = DataWriter(participant, Topic(participant, "rt/cmd_vel", TwistStamped), qos=reliable)
 
     def write(linear_m_s: float) -> int:
-        """The time of the write; 0: no client reads it."""
+        """Write a command; return the time of the write, or 0 if no client reads it."""
         sec, nanosec = divmod(time.time_ns(), 1_000_000_000)
         twist = Twist(Vector3(linear_m_s, 0.0, 0.0), Vector3(0.0, 0.0, 0.0))
         raw = TwistStamped(Header(Time(sec, nanosec), ""), twist).serialize(use_version_2=False)
@@ -77,7 +77,7 @@ def writer() -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _hogs_of_bus(count: int) -> Iterator[None]:
-    """A motord-bus started in this block gets this many busy threads."""
+    """A motord-bus that starts in this block can start busy threads: HOGS of them, at SIGUSR1."""
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = os.pathsep.join([str(HOGGED), *([before] if before else [])])
     try:
@@ -90,8 +90,8 @@ def _hogs_of_bus(count: int) -> Iterator[None]:
 
 
 def _pty_like_a_uart() -> None:
-    """A kernel worker of ordinary priority passes on what is written to a pty; a UART has none.
-    Root can give it priority over the busy threads; otherwise its delay, up to 4 ms, is in the
+    """Give the kernel workers that pass on what is written to a pty priority over busy threads: a
+    UART has no such worker. Only root can do it; otherwise their delay, up to 4 ms, is in the
     figures."""
     for process in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
@@ -100,8 +100,8 @@ def _pty_like_a_uart() -> None:
 
 
 def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[float], int]:
-    """The delay of each command, as datagram.delays_us, and the number that the daemon did not
-    accept. A fault ends it. The daemon and its hogs have one CPU, motord-bus the others."""
+    """Return the delay of each command, and the number of commands that the daemon did not accept.
+    A fault ends the measurement. The daemon and its hogs have one CPU, motord-bus may use all."""
     chance, found = random.Random(seed), []
     with (
         tempfile.TemporaryDirectory() as made,
@@ -137,8 +137,8 @@ def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[flo
 
 
 def pty_delays_ms(count: int, seed: int) -> list[float]:
-    """From the write of a request that changes a register to its first byte at the slave: the part
-    of each row that a UART does not have."""
+    """Return the delays from the write of a request that changes a register to its first byte at
+    the slave: the part of each row that a UART does not have."""
     chance, found = random.Random(seed), []
     with slave(SPEC_GAP_US) as judge:
         _pty_like_a_uart()
@@ -158,7 +158,7 @@ def pty_delays_ms(count: int, seed: int) -> list[float]:
 
 
 def measure(count: int) -> Found:
-    """A row for each of WHERE, and one of the pty."""
+    """Return a row for each of WHERE, and one of the pty alone."""
     alone = pty_delays_ms(count, seed=count)
     rows: Found = {"pty alone": _row(alone, 0)}
     for where, (hogs, bus_hogs) in WHERE.items():
@@ -184,7 +184,7 @@ def table(found: Found) -> str:
 
 
 def verdicts(found: Found) -> list[tuple[str, bool, bool]]:
-    """As wire.verdicts."""
+    """Return the verdicts as `wire.verdicts` does."""
     made = []
     for where in WHERE:
         row, ratio = found[where], 1.0 if where == "idle" else GOAL_RATIO

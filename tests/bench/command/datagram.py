@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a command's datagram to its first byte on the wire, with and without busy Python in the
+"""Time from a command's datagram to its first byte on the wire, with and without busy Python in the
 daemon: the real daemon, its real-time line, and a slave that reports when the bytes came."""
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from motord.api.commands import datagram
 from motord.client import Client, ClientError
 
 PAUSE_S = (0.11, 0.14)
-"""Longer than a cycle of the line, so that it is idle: the path is measured, not the queue."""
+"""Range of the pause after a command, in which the line gets idle: no queue is measured."""
 WITHIN_S = 30.0
 HOGGED = Path(__file__).with_name("hogged.py")
 PROFILE = ROOT / "tests/bench/fieldbus/bench-drive.toml"
@@ -89,7 +89,7 @@ lease_s = 2.0
 def daemon(
     folder: Path, port: str, hogs: int, more: str = "", *, begin: bool = True
 ) -> Iterator[Client]:
-    """The daemon, armed; `more`: further sections of its robot file; `begin`: starts its hogs."""
+    """Run the daemon, armed. `more`: sections for its robot file; `begin`: start its hogs now."""
     robot = folder / "robot.toml"
     name = f"bench{uuid.uuid4().hex[:8]}"
     text = ROBOT.format(name=name, port=port, profile=PROFILE) + more
@@ -130,7 +130,7 @@ def _connected(path: Path) -> Client:
 
 
 def delays_us(hogs: int, count: int, seed: int = 7) -> list[float]:
-    """The delays of `count` commands at irregular times, each with another speed than the last."""
+    """Return the delays of `count` commands at irregular times, each with a changed speed."""
     chance = random.Random(seed)
     found = []
     with (
@@ -164,7 +164,7 @@ def percentile(values: list[float], fraction: float) -> float:
 
 
 def measure(count: int, hogs: int = 4) -> dict[str, dict[str, float]]:
-    """Idle and hogged, in turns."""
+    """Return the figures without and with hogs, which are measured in turns."""
     pools: dict[int, list[float]] = {0: [], hogs: []}
     for part, number in enumerate((0, hogs, hogs, 0)):
         print(f"  part {part + 1} of 4: {number} hogs", file=sys.stderr, flush=True)
@@ -177,7 +177,7 @@ def measure(count: int, hogs: int = 4) -> dict[str, dict[str, float]]:
 
 
 def verdicts(found: dict[str, dict[str, float]]) -> list[tuple[str, bool, bool]]:
-    """As wire.verdicts."""
+    """Return the verdicts as `wire.verdicts` does."""
     p50_us, p90_us = found["hogged"]["p50_us"], found["hogged"]["p90_us"]
     ratio = p50_us / found["idle"]["p50_us"]
     return [

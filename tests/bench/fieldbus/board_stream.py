@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The cost of a board on a stream, and how long it waits, with and without a thread that always
-competes for the GIL. The board is the reference one, compiled for this machine.
+"""CPU that a board on a serial stream costs, and the time from set-points to feedback, with and
+without a thread that always competes for the GIL. The board is the reference board as a program.
 
     python tests/bench/fieldbus/board_stream.py PORT SECONDS idle|hog   (what `measure` starts)
 """
@@ -64,8 +64,8 @@ async def drive(port: str, seconds: float) -> dict[str, float]:
 
 
 def measure(seconds: float) -> Found:
-    """Figures, idle and with a hog. CPU is that of the whole process: with a hog it means
-    nothing."""
+    """Return the figures without and with a hog. CPU is that of the whole process, so with a hog it
+    means nothing."""
     found: Found = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -81,7 +81,7 @@ def measure(seconds: float) -> Found:
 
 
 def table(found: Found) -> str:
-    """For people."""
+    """Return the figures as text."""
     rows = [
         f"{name:14} CPU a feedback {row['cpu_us']:7.1f} µs   set-points to feedback "
         f"p50 {row['p50_us']:7.0f}  p99 {row['p99_us']:7.0f} µs"
@@ -91,7 +91,7 @@ def table(found: Found) -> str:
 
 
 def verdicts(found: Found) -> list[tuple[str, bool, bool]]:
-    """In sentences, as the other parts'."""
+    """Return the verdicts as `wire.verdicts` does."""
     wait = found["hog"]["p99_us"] / found["idle"]["p99_us"]
     text = f"a board waits {wait:.2f} of its idle p99 beside a GIL hog"
     return [(text, wait < 2.0, False)]

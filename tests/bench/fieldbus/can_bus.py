@@ -39,7 +39,7 @@ RATE_HZ = 500
 NODES = (0, 3, 5, 7)
 HEARTBEAT, ESTIMATES, INPUT_VELOCITY = 0x01, 0x09, 0x0D
 SO_TIMESTAMPNS = 35
-"""asm-generic/socket.h"""
+"""Value in asm-generic/socket.h."""
 FRAME = struct.Struct("=IB3x8s")
 COUNTER = struct.Struct("=Q")
 GOAL = 0.15
@@ -53,7 +53,7 @@ def cpu_ns() -> int:
 
 
 class Frames:
-    """The frames sent and received on the bus, shared with the measuring process."""
+    """Number of frames sent and received on the bus, shared with the measuring process."""
 
     def __init__(self, path: str) -> None:
         file = Path(f"{path}.frames")
@@ -82,7 +82,7 @@ class Meter:
 
 # ---------------------------------------------------------------------------------- the other end
 def drives(path: str, seconds: float) -> None:
-    """Runs the drives for this time, or until the line closes the bus."""
+    """Run the drives for this time, or until the line closes the bus."""
     frames = Frames(path)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as door:
         door.bind(path)
@@ -115,7 +115,7 @@ def speak(end: socket.socket, until_s: float, frames: Frames) -> None:
 
 # --------------------------------------------------------------------------------------- the sides
 async def with_line(engine: str, path: str, seconds: float) -> dict[str, int]:
-    """motord's line, set up and at rest."""
+    """Measure motord's line, set up and at rest."""
     from motord.config.drives.load import find_profile
     from motord_hal.fieldbus.open_line import open_line
     from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
@@ -146,7 +146,7 @@ async def with_line(engine: str, path: str, seconds: float) -> dict[str, int]:
 
 
 def python_can_bus(path: str) -> Any:
-    """python-can's SocketCAN bus, all of it but the opening of its socket."""
+    """Return python-can's SocketCAN bus, changed only in the opening of its socket."""
     import can
     from can.interfaces.socketcan import SocketcanBus
 
@@ -166,7 +166,7 @@ def python_can_bus(path: str) -> Any:
 
 
 async def with_python_can(path: str, seconds: float) -> dict[str, int]:
-    """A Notifier in the event loop, a listener that reads the drives' frames, a task that sends."""
+    """Measure a Notifier in the event loop, a listener that reads all frames, a task that sends."""
     import can
 
     bus = python_can_bus(path)
@@ -209,7 +209,7 @@ async def with_python_can(path: str, seconds: float) -> dict[str, int]:
 
 
 def with_a_script(path: str, seconds: float) -> dict[str, int]:
-    """The smallest script on python-can: its packing and its messages, no bus."""
+    """Measure the smallest script: python-can's packing and messages, but not its bus."""
     import can
     from can.interfaces.socketcan.socketcan import build_can_frame, capture_message
 
@@ -244,7 +244,7 @@ def with_a_script(path: str, seconds: float) -> dict[str, int]:
 
 # --------------------------------------------------------------------------------------- measuring
 def once(side: str, seconds: float) -> float:
-    """Microseconds of CPU a frame."""
+    """Return the CPU time of a side in microseconds a frame."""
     with tempfile.TemporaryDirectory() as folder:
         path = str(Path(folder) / "bus")
         here = [sys.executable, __file__]
@@ -263,7 +263,7 @@ def once(side: str, seconds: float) -> float:
 
 
 def measure(rounds: int, seconds: float) -> dict[str, list[float]]:
-    """The sides take turns, so that a busy minute affects all."""
+    """Return the CPU a frame of each side and round; they take turns: a busy minute affects all."""
     found: dict[str, list[float]] = {side: [] for side in SIDES}
     for _ in range(rounds):
         for side, values in found.items():

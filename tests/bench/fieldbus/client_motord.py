@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord's real-time line against the bench's slave: prints one line of JSON at its end.
+"""Runs motord's real-time line against the bench's slave: prints "ready", then a line of JSON for
+each line "stats" on stdin.
 
 python client_motord.py PORT DRIVES GAP(spec|3.5char) FUNCTION(16|23) HOGS
 """
@@ -24,7 +25,7 @@ HERE = Path(__file__).parent
 
 
 def spec_of(port: str, drives: int, gap: str, function: int) -> LineSpec:
-    """A single drive uses both its channels, several drives use one each."""
+    """Return the line: a single drive uses both its channels, several drives use one each."""
     profile = load_profile(HERE / "bench-drive.toml")
     if function == 23:
         profile = dataclasses.replace(profile, read_write_function=23)
@@ -51,7 +52,7 @@ def process_cpu_ns() -> int:
 
 
 def line_cpu_ns() -> int:
-    """CPU time of the line's thread: the first number of schedstat (proc(5))."""
+    """Return the CPU time of the line's thread: the first number of schedstat (proc(5))."""
     for task in Path("/proc/self/task").iterdir():
         if (task / "comm").read_text().startswith("motord-line"):
             return int((task / "schedstat").read_text().split()[0])

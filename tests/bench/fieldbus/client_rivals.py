@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other libraries, which read four registers as fast as they can: one line of JSON at the end.
+"""Reads four registers with another library as fast as it can; prints a line of JSON at the end.
 
 python client_rivals.py KIND PORT SECONDS HOGS
 

@@ -21,7 +21,7 @@ from motord_hal.realtime.exchange import Exchange, JointSetpoint, Setpoints
 PROFILES = {"feetech": "sts3215", "dynamixel": "xl430"}
 AS_FAST_AS_IT_WILL_HZ = 20_000.0
 KEPT_S = 90.0
-"""The set-points are written once."""
+"""Age that set-points may reach: they are put only when the measurement begins."""
 
 
 def hog() -> None:

@@ -5,12 +5,12 @@
  * A pty carries a frame in no time. Here a request has arrived when its bytes would have passed the
  * wire; the reply begins after the silence that marks the end of a frame, and is handed over when
  * its last byte would have come. So one exchange takes (request + reply) characters and two
- * silences: that is the wire's limit, and what a client adds is its own. A request that comes
- * before the second silence is over is a violation (5 % are forgiven: clocks round).
+ * silences: that is the wire's limit, and the client causes all time beyond it. A request that
+ * comes before the second silence is over is a violation (5 % are tolerated: clocks round).
  *
- *     rtu_slave BAUDRATE GAP_US [PRIORITY]     prints the pty's name; then, for a line on stdin, a
- *     line of JSON: "stats" the counters, which restart at zero; "changed" the time of the first
- *     request since then that changed a register
+ *     rtu_slave BAUDRATE GAP_US [PRIORITY]     prints the pty's name; then a line of JSON for each
+ *     line on stdin: for "stats" the counters, which then restart at zero; for "changed" the time
+ *     of the first request that changed a register since the last "changed"
  */
 #include <errno.h>
 #include <fcntl.h>
@@ -30,15 +30,15 @@
 enum { FRAME_MAX = 256, KEPT_MAX = 1 << 17, UNITS = 248 };
 
 static const int64_t NS_PER_S = 1000000000;
-static const int64_t LATE_NS = 2000000; /* this machine was held up for a moment */
+static const int64_t LATE_NS = 2000000; /* a later reply: this machine was held up */
 
 static int64_t character_ns, gap_ns, wire_free_ns, request_ns;
 static uint16_t registers[UNITS][0x10000];
-static float parts[KEPT_MAX]; /* the wire's limit over what an exchange took */
+static float parts[KEPT_MAX]; /* the wire's limit divided by the duration of each exchange */
 static uint32_t kept;
 static uint64_t requests, bad_crc, violations, excused;
-static bool was_late;      /* our own reply was: a client that did not wait is excused */
-static int64_t changed_ns; /* first byte of the first request that changed a register; 0: none */
+static bool was_late;      /* our own reply was late: a client that did not wait is excused */
+static int64_t changed_ns; /* first byte of the first request that changed a register; 0: no such */
 static int64_t limits_ns, first_ns, last_ns, last_limit_ns;
 
 static int64_t now_ns(void)
@@ -169,7 +169,7 @@ static void answer(int fd, const uint8_t *frame, int count)
     }
     int64_t handed_ns = now_ns();
     was_late = handed_ns - wire_free_ns > LATE_NS;
-    wire_free_ns = handed_ns; /* as late as the client can have it */
+    wire_free_ns = handed_ns; /* the latest time at which the client has it */
 }
 
 static int by_size(const void *one, const void *other)
@@ -202,7 +202,7 @@ static int open_pty(void)
     if (fd < 0 || grantpt(fd) != 0 || unlockpt(fd) != 0) {
         exit(1);
     }
-    int other = open(ptsname(fd), O_RDWR | O_NOCTTY); /* kept: no hang-up between two clients */
+    int other = open(ptsname(fd), O_RDWR | O_NOCTTY); /* open: no hang-up between two clients */
     tcgetattr(other, &raw);
     cfmakeraw(&raw);
     tcsetattr(other, TCSANOW, &raw);
@@ -263,7 +263,7 @@ int main(int argc, char **argv)
         fprintf(stderr, "no SCHED_FIFO: %s\n", strerror(errno));
     }
     mlockall(MCL_CURRENT);
-    int32_t latency_us = 0; /* as motord's daemon sets it, here for all masters */
+    int32_t latency_us = 0; /* motord's daemon sets this, too; here it helps all masters */
     int awake = open("/dev/cpu_dma_latency", O_WRONLY);
     if (awake < 0 || write(awake, &latency_us, sizeof latency_us) < 0) {
         fprintf(stderr, "the CPUs may sleep deeply: %s\n", strerror(errno));

@@ -19,13 +19,13 @@ HERE = Path(__file__).parent
 BUSES = {"3 STS3215, 1 Mbaud": ("feetech", 1_000_000, 3),
          "6 Dynamixel, 4 Mbaud": ("dynamixel", 4_000_000, 6)}  # fmt: skip
 CYCLE_BYTES = {"feetech": (8 + 8, 3 + 1 + 21), "dynamixel": (14 + 14, 5 + 1 + 19)}
-"""Bytes of a sync write of velocities and a sync read with replies: for all, and for each."""
+"""Bytes of a cycle (sync write of velocities, sync read, replies): shared ones, and per servo."""
 MASTERS = {"motord": ("motord", 0), "motord, GIL hog": ("motord", 1),
            "makers' SDK": ("sdk", 0), "makers' SDK, GIL hog": ("sdk", 1)}  # fmt: skip
 
 
 def limit_hz(kind: str, baudrate: int, servos: int) -> float:
-    """Cycles that the wire carries, when servos answer at once."""
+    """Return the cycles a second that the wire can carry if servos answer at once."""
     for_all, for_each = CYCLE_BYTES[kind]
     return baudrate / 10 / (for_all + servos * for_each)
 
@@ -70,7 +70,7 @@ def _ask(slave: subprocess.Popen[str]) -> dict[str, Any]:
 
 
 def measure(rounds: int, seconds: float) -> dict[str, dict[str, Any]]:
-    """Medians of the rounds, by bus and master."""
+    """Return the medians of the rounds, by bus and master."""
     rows: dict[str, list[dict[str, Any]]] = {}
     for _ in range(rounds):
         for bus in BUSES:
@@ -92,7 +92,7 @@ def table(found: dict[str, dict[str, Any]]) -> str:
 
 
 def verdicts(found: dict[str, dict[str, Any]]) -> list[tuple[str, bool, bool]]:
-    """As wire.verdicts. What motord reads beside the cycle is in `busy`."""
+    """Return verdicts as `wire.verdicts` does. `busy` includes what motord reads beside a cycle."""
     verdicts = []
     for bus in BUSES:
         ours, theirs = found[f"{bus}: motord, GIL hog"], found[f"{bus}: makers' SDK, GIL hog"]

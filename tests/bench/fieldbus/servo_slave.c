@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  * servo_slave.c: bus servos on a pty that take the time of a real wire, and answer at once: the
- * rest of a cycle's time is its master's. A request has arrived when its bytes would have passed
+ * master causes the rest of a cycle's time. A request has arrived when its bytes would have passed
  * the wire, a reply is handed over when its last byte would have come.
  *
- *     servo_slave feetech|dynamixel BAUDRATE [PRIORITY]     prints the pty's name; then, for a line
- *     on stdin, a line of JSON: sync reads since the last one, the time since, and how much of it
- *     the wire was busy
+ *     servo_slave feetech|dynamixel BAUDRATE [PRIORITY]     prints the pty's name; then a line of
+ *     JSON for each line on stdin: number of sync reads and of bad packets, seconds, and the part
+ *     of this time in which the wire was busy, all since the line before
  */
 #include <errno.h>
 #include <fcntl.h>
@@ -82,7 +82,7 @@ static void occupy(int bytes)
     busy_ns += bytes * character_ns;
 }
 
-/* Values here never need stuffing. */
+/* Sends a status packet. No value of this bench needs byte stuffing. */
 static void answer(int fd, int unit, const uint8_t *data, int count)
 {
     int bytes = 0;
@@ -217,7 +217,7 @@ int main(int argc, char **argv)
     if (fd < 0 || grantpt(fd) != 0 || unlockpt(fd) != 0) {
         return 1;
     }
-    int other = open(ptsname(fd), O_RDWR | O_NOCTTY); /* kept: no hang-up between two clients */
+    int other = open(ptsname(fd), O_RDWR | O_NOCTTY); /* open: no hang-up between two clients */
     tcgetattr(other, &raw);
     cfmakeraw(&raw);
     tcsetattr(other, TCSANOW, &raw);

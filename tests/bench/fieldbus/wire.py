@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much of the wire each master uses, and whether it keeps the silence: all masters with the
-same slave (rtu_slave.c), one after the other in each round."""
+"""Measures how much of the wire each master uses, and whether it keeps the silent interval: all
+masters with the same slave (rtu_slave.c), one after the other in each round."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Result:
 
 
 def compiled(name: str, *flags: str) -> str | None:
-    """The program, or None where it cannot be built (a library is missing)."""
+    """Compile NAME.c; return the program, or None if it cannot be built (a library is missing)."""
     BUILD.mkdir(parents=True, exist_ok=True)
     program = BUILD / name
     run = subprocess.run(
@@ -67,8 +67,8 @@ class Slave:
         self.port = self._from.readline().strip()
 
     def ask(self, what: str) -> dict[str, Any]:
-        """Its answer to "stats": its counters, which restart at zero; to "changed": when the first
-        request since the last "changed" came that changed a register."""
+        """Return the answer to "stats": the counters, which then restart at zero; or to "changed":
+        when the first request came that changed a register since the last "changed"."""
         self._to.write(f"{what}\n")
         self._to.flush()
         return dict(json.loads(self._from.readline()))
@@ -76,7 +76,7 @@ class Slave:
 
 @contextlib.contextmanager
 def slave(gap_us: float) -> Iterator[Slave]:
-    """A slave that answers for all units, with the timing of a wire of 115200 baud."""
+    """Run a slave that answers for all units, with the timing of a wire of 115200 baud."""
     program = compiled("rtu_slave")
     assert program is not None, "rtu_slave.c does not compile"
     with subprocess.Popen(
@@ -92,7 +92,7 @@ def slave(gap_us: float) -> Iterator[Slave]:
 
 
 def arms() -> list[Arm]:
-    """Ours in all situations, the others in their usual one."""
+    """Return motord in all situations, and the other masters in their usual one."""
     here = sys.executable
     ours = str(HERE / "client_motord.py")
     others = str(HERE / "client_rivals.py")
@@ -114,7 +114,7 @@ def arms() -> list[Arm]:
 
 
 def one_round(arm: Arm, seconds: float) -> dict[str, Any]:
-    """Slave and master from start to end."""
+    """Run slave and master from start to end; return the slave's figures and the master's CPU."""
     with slave(arm.gap_us) as judge:
         command = [
             {"PORT": judge.port, "SECONDS": str(seconds)}.get(word, word) for word in arm.command
@@ -152,7 +152,7 @@ def _ask(client: subprocess.Popen[str]) -> dict[str, Any]:
 
 
 def measure(rounds: int, seconds: float, chosen: Sequence[Arm] | None = None) -> dict[str, Result]:
-    """Runs every arm in every round, so that a bad moment of the machine affects all of them."""
+    """Run every arm in every round, so that a bad moment of the machine affects all of them."""
     chosen = arms() if chosen is None else chosen
     results = {arm.name: Result() for arm in chosen}
     for number in range(rounds):
@@ -163,7 +163,7 @@ def measure(rounds: int, seconds: float, chosen: Sequence[Arm] | None = None) ->
 
 
 def table(results: dict[str, Result]) -> str:
-    """Medians of the rounds; counts are sums."""
+    """Return the medians of the rounds as text; counts are sums."""
     rows = [f"{'':46} of the wire (p50, all)   per s   CPU µs  violations  excused"]
     for name, result in results.items():
         rows.append(
@@ -176,7 +176,7 @@ def table(results: dict[str, Result]) -> str:
 
 
 def verdicts(results: dict[str, Result]) -> list[tuple[str, bool, bool]]:
-    """(sentence, reached, whether it is about correctness rather than speed)."""
+    """Return (sentence, reached, whether it is about correctness and not speed) for each goal."""
     ours = {name: result for name, result in results.items() if name.startswith("motord")}
     spec = {name: found for name, found in ours.items() if "23" not in name}
     least = min(found.median("fraction_p50") for found in spec.values())
@@ -199,7 +199,7 @@ def verdicts(results: dict[str, Result]) -> list[tuple[str, bool, bool]]:
 
 
 def has_bench_tools() -> list[str]:
-    """What the whole comparison lacks on this machine, as sentences."""
+    """Return what the whole comparison lacks on this machine, as sentences."""
     missing = []
     if shutil.which("gcc") is None:
         missing.append("gcc is missing: apt install gcc")

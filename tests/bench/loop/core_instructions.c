@@ -5,11 +5,11 @@
  *     core_instructions moving|ramping|rest TICKS FEEDBACK_EVERY_TICKS [skid|omni|car|swerve
  *     JOINTS]
  *
- * Without a base it is a four-wheel skid drive. A car has one or two steered wheels beside its
- * driven ones, a swerve base half of its joints.
+ * The default base is a four-wheel skid drive. A car has one or two steered wheels beside its
+ * driven ones; in a swerve base half of the joints steer.
  * Feedback of all wheels comes in every FEEDBACK_EVERY_TICKS-th tick. Moving: a new request every 2
- * s, so that ramps, easing, wheel saturation and curves are all exercised. Ramping: every 50 ms,
- * so that no ramp ever ends. Rest: armed, a fresh command of zero.
+ * s, so that ramps, easing, wheel saturation and curves are all exercised. Ramping: a new request
+ * every 50 ms, so that no ramp ever ends. Rest: armed, with a fresh command of zero.
  */
 #include "good_config.h"
 
@@ -48,7 +48,7 @@ static void place(core_config *config, double x_m, double y_m, uint32_t steering
     }
 }
 
-/* Omni wheels all around, a car whose last joints steer, or modules of two joints. */
+/* Returns omni wheels in a circle, a car whose last joints steer, or modules of two joints. */
 static core_config base_of(const char *kind, uint32_t joints)
 {
     core_config config = wheels(joints);
@@ -70,7 +70,7 @@ static core_config base_of(const char *kind, uint32_t joints)
     return config;
 }
 
-/* The wheels follow their set-points; the drives count. */
+/* Makes feedback of wheels that follow their set-points exactly. */
 static void turn_wheels(const core_config *config, const setpoints *out, core_input *input,
                         double *position_rad, double dt_s)
 {
@@ -88,7 +88,7 @@ static void turn_wheels(const core_config *config, const setpoints *out, core_in
     }
 }
 
-/* leg_ticks: how long a request lasts; 0: no request */
+/* Makes the command of a tick. leg_ticks: duration of a request; 0: always rest. */
 static void command(core_input *input, long tick, long leg_ticks)
 {
     input->now_ns += TICK_NS;
@@ -132,7 +132,7 @@ int main(int argc, char **argv)
         }
         core_step(&state, &input, 1e-3, &out, NULL); /* as the loop calls it */
     }
-    /* a benchmark of a robot that is in fault, or stands when it should move, measures nothing */
+    /* a robot that is in fault, or stands when it should move, would make the figure meaningless */
     bool moved = shown->distance_m > 0.1;
     return shown->armed && shown->faults == 0 && moved == (leg_ticks > 0) ? 0 : 1;
 }

@@ -30,7 +30,7 @@ MOVING_MAX = 900.0
 FEEDBACK_MAX = 1800.0
 RATIO_MAX = 1.2
 GROWTH_MAX = 1.25
-"""Up to eight joints, one more joint may cost this many times what it costs with few."""
+"""Limit of `growth`, above which the cost rises too fast with the number of joints."""
 BASES = {
     "skid": (2, 4, 8),
     "omni": (3, 4, 8),
@@ -59,7 +59,7 @@ def compile_to(program: Path) -> None:
 
 
 def count(program: Path, mode: str, feedback_every_ticks: int, ticks: int, *base: object) -> float:
-    """Mean instructions of a tick; `base`: kind and joints; without it: four wheels."""
+    """Return the mean instructions of a tick. `base`: kind and joints; default: four wheels."""
     with tempfile.NamedTemporaryFile(prefix="callgrind.") as out:
         done = subprocess.run(
             [
@@ -76,7 +76,7 @@ def count(program: Path, mode: str, feedback_every_ticks: int, ticks: int, *base
 
 
 def of_bases(program: Path, ticks: int) -> dict[str, dict[int, tuple[float, float]]]:
-    """By base and joints: moving, and at rest."""
+    """Return the instructions of a tick, moving and at rest, by base and number of joints."""
     return {
         kind: {
             joints: (
@@ -90,8 +90,8 @@ def of_bases(program: Path, ticks: int) -> dict[str, dict[int, tuple[float, floa
 
 
 def growth(found: dict[int, tuple[float, float]]) -> float:
-    """The cost of one more joint between the two largest numbers of joints, relative to its cost
-    from the smallest number on; 1: linear."""
+    """Return the cost of one more joint between the two largest numbers of joints, relative to its
+    mean cost from the smallest number on; 1: linear."""
     few, *between, many = sorted(found)
     middle = between[-1] if between else few
     late = (found[many][0] - found[middle][0]) / (many - middle)
@@ -99,7 +99,7 @@ def growth(found: dict[int, tuple[float, float]]) -> float:
 
 
 def measure(ticks: int) -> dict[str, Any] | None:
-    """None where there is no valgrind."""
+    """Return all figures, or None if there is no valgrind."""
     if shutil.which("valgrind") is None:
         return None
     with tempfile.TemporaryDirectory() as directory:
@@ -122,7 +122,7 @@ def measure(ticks: int) -> dict[str, Any] | None:
 
 
 def verdicts(found: dict[str, Any]) -> list[tuple[str, bool, bool]]:
-    """As wire.verdicts; these figures do not depend on the machine's load."""
+    """Return verdicts as `wire.verdicts` does; no figure depends on the machine's load."""
     rows = (
         ("moving", MOVING_MAX, "instructions of a moving tick"),
         ("moving_with_feedback", FEEDBACK_MAX, "with feedback of four wheels"),

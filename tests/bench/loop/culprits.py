@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether `motord latency --suspects` names the cause of a delay of the loop: a SCHED_FIFO hog, a
-process that forks, a page-faulting thread, each on the loop's processor. Also the search's cost for
-the loop.
+"""Checks whether `motord latency --suspects` names the cause of a delay of the loop: a SCHED_FIFO
+hog, a process that forks, a page-faulting thread, each on the loop's processor. Also measures what
+the search costs the loop.
 
 python culprits.py: one JSON object.
 """
@@ -18,11 +18,11 @@ from motord.tools.latency.measure import LatencyOptions, run_latency
 from motord.tools.latency.trials import search
 
 KINDS = {"fifo": "real-time thread", "fork": "fork", "faults": "page faults"}
-"""The name that each has to get."""
+"""Kind of suspect that has to be named for each culprit."""
 
 
 def measure(seconds: float, pairs: int) -> dict[str, Any]:
-    """Figures by culprit; `cost`: ratio of the tick's work with the search to that without."""
+    """Return the figures by culprit, and in `cost` those of the search's cost."""
     cpu = (max(os.sched_getaffinity(0)),)
     found: dict[str, Any] = {}
     for kind in CULPRITS:
@@ -43,7 +43,7 @@ def measure(seconds: float, pairs: int) -> dict[str, Any]:
 
 
 def cost(seconds: float, pairs: int) -> dict[str, float]:
-    """Medians of the tick's work in ns, with the search off and on in turns, and their ratio."""
+    """Return medians of the tick's work, with the search off and on in turns, and their ratio."""
     found: dict[bool, list[float]] = {False: [], True: []}
     for _ in range(pairs):
         for searched, row in found.items():

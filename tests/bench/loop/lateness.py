@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop's wake-up against cyclictest's: on the same CPU at the same time and the same priority,
-so that a stall of the machine affects both, with a pure-Python hog in the loop's process.
+"""Lateness of the loop's wake-ups and of cyclictest's: on the same CPU at the same time and
+priority, so that a stall of the machine affects both, with a pure-Python hog in the loop's process.
 
 "in band": samples later than 1 ms are left out on both sides; on a virtual machine they are the
 host's.
@@ -26,11 +26,11 @@ PRIORITY, CPU = 80, 0
 BAND_NS = 1_000_000
 CYCLICTEST_EXTRA_S = 2.0
 Bars = list[tuple[float, int]]
-"""(lateness in ns, samples), in order."""
+"""Bars of a histogram in order: lateness in ns, and number of samples."""
 
 
 def percentile_ns(bars: Bars, fraction: float) -> float:
-    """The bar that contains this percentile of all samples."""
+    """Return the lateness of the bar that contains this percentile of all samples."""
     wanted, seen = fraction * sum(n for _, n in bars), 0
     for value, samples in bars:
         seen += samples
@@ -47,8 +47,8 @@ def figures(bars: Bars) -> dict[str, float]:
 
 # ------------------------------------------------------------------------------- the loop's process
 def child(rate_hz: float, seconds: float) -> None:
-    """One loop with a hog beside it; prints its histogram, and the page faults of two halves: with
-    the hog alone, and while Python starts processes."""
+    """Run one loop with a hog beside it, then start processes; print the histogram of the first
+    part, and the page faults of both parts together."""
     from motord.realtime import loop as rt
     from motord.tools.latency.rig import core_config
 
@@ -67,7 +67,7 @@ def child(rate_hz: float, seconds: float) -> None:
         for _ in range(10):
             subprocess.run(["true"], check=True, timeout=60)
         seen = loop.status().ticks
-        while loop.status().ticks < seen + 600:  # the loop counts them in every 256th tick
+        while loop.status().ticks < seen + 600:  # page faults are counted in every 256th tick
             time.sleep(0.01)
         status = loop.status()
         report = {"bars": bars, "page_faults": status.page_faults, "policy": status.policy}
@@ -76,13 +76,13 @@ def child(rate_hz: float, seconds: float) -> None:
 
 # ---------------------------------------------------------------------------------------- the pairs
 def cyclictest_bars(text: str) -> Bars:
-    """Its histogram; whole microseconds rounded down, so half of one is added."""
+    """Return cyclictest's histogram; it rounds microseconds down, so half of one is added."""
     rows = re.findall(r"^(\d+)[ \t]+(\d+)\s*$", text, re.MULTILINE)
     return [((int(us) + 0.5) * 1e3, int(n)) for us, n in rows if int(n)]
 
 
 def pair(rate_hz: float, seconds: float) -> dict[str, Any]:
-    """Both at once."""
+    """Run the loop and cyclictest at once; return the figures of both."""
     with (
         subprocess.Popen(
             [sys.executable, HERE / "lateness.py", "child", str(rate_hz), str(seconds)],
@@ -103,7 +103,7 @@ def pair(rate_hz: float, seconds: float) -> dict[str, Any]:
 
 
 def measure(pairs: int, seconds: float) -> dict[str, Any]:
-    """{rate: {"pairs": [...], "p99_ratio": median, ...}}; empty without cyclictest."""
+    """Return {rate: {"pairs": [...], "ratios": medians, ...}}; it is empty without cyclictest."""
     found: dict[str, Any] = {}
     if shutil.which("cyclictest") is None:
         return found
@@ -122,7 +122,7 @@ def measure(pairs: int, seconds: float) -> dict[str, Any]:
 
 
 def verdicts(found: dict[str, Any]) -> list[tuple[str, bool, bool]]:
-    """As wire.verdicts."""
+    """Return the verdicts as `wire.verdicts` does."""
     verdicts = []
     for rate_hz, row in found.items():
         p99, p99_9 = row["ratios"]["p99_us"], row["ratios"]["in_band_p99_9_us"]

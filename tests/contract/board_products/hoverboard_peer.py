@@ -27,7 +27,7 @@ def compiled(folder: Path, source: Path = SOURCE) -> Path:
 
 
 class Program:
-    """Runs until `end`; `lines` grows with what it prints."""
+    """A process that runs until `end`; each line of numbers that it prints is added to `lines`."""
 
     def __init__(self, *arguments: object, pass_fds: tuple[int, ...] = ()) -> None:
         self.lines: list[tuple[int, ...]] = []
@@ -53,14 +53,14 @@ class Program:
         self.process.stdin.flush()
 
     def end(self) -> None:
-        """Closes its input and waits for its end."""
+        """Close the program's input and wait for its end."""
         assert self.process.stdin is not None
         self.process.stdin.close()
         assert self.process.wait(60) == 0
         self._close()
 
     def kill(self) -> None:
-        """Kills it: the board gets no more frames."""
+        """Kill the program: the board gets no more frames."""
         assert self.process.stdin is not None
         self.process.kill()
         self.process.wait()
@@ -74,8 +74,8 @@ class Program:
 
 
 class Board(Program):
-    """`link` is its port. Lines: left and right speed, 1 when it timed out. The program gets
-    `arguments` around the descriptor of its port."""
+    """A board whose port is `link`. Its lines: left speed, right speed, 1 after its time-out. Its
+    program gets `arguments`, the descriptor of its port, and `options`."""
 
     def __init__(self, link: Path, *arguments: object, options: tuple[str, ...] = ()) -> None:
         self.link = link
@@ -86,7 +86,7 @@ class Board(Program):
 
     @property
     def now(self) -> tuple[int, ...]:
-        """The newest; before its first line it drives nothing."""
+        """The newest line; zeros before the first one."""
         return self.lines[-1] if self.lines else (0, 0, 0)
 
     def end(self) -> None:

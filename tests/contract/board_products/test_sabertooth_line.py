@@ -28,11 +28,11 @@ def packet(unit, command, value):
 
 
 TIMEOUT = packet(UNIT, 14, 3)
-"""0.3 s."""
+"""Packet that sets the time-out to 0.3 s."""
 
 
 SINGLE = replace(find_profile("sabertooth"), channels={1: find_profile("sabertooth").channels[1]})
-"""Of which a robot's two wheels need two: at 128 and 129."""
+"""Profile of a driver for one motor: a robot with two wheels has two of them, at 128 and 129."""
 OTHER_PROFILE = replace(SINGLE, name="other")
 
 
@@ -54,7 +54,7 @@ def taken(master):
 
 
 def spec_of(path, watchdog_s=0.3, places=((UNIT, 1), (UNIT, 2))):
-    """`places`: unit and channel of each joint."""
+    """Return the line; `places` has unit and channel of each joint."""
     profile = find_profile("sabertooth")
     joints = tuple(
         JointSpec(index=index, name=f"wheel{index}", profile=profile, unit=unit, channel=channel)
@@ -69,7 +69,7 @@ def spec_of(path, watchdog_s=0.3, places=((UNIT, 1), (UNIT, 2))):
 
 @contextlib.contextmanager
 def sabertooth(path, address):
-    """pysabertooth's; its __del__ would close the port at any time."""
+    """Yield pysabertooth's driver, and close it here: its __del__ would do so at any time."""
     saber = Sabertooth(path, baudrate=9600, address=address)
     try:
         yield saber
@@ -80,7 +80,7 @@ def sabertooth(path, address):
 
 
 async def all_of(master, count):
-    """Reads this many bytes: a pty delivers them a moment later."""
+    """Read at least this many bytes, which a pty delivers a moment later."""
     seen = b""
 
     def complete():
@@ -253,7 +253,7 @@ async def test_packets_for_another_address_or_with_a_wrong_check_sum_move_nothin
         with sabertooth(str(tmp_path / "bus"), 129) as other:
             for _ in range(20):
                 other.driveBoth(100, 100)
-                other.saber.write(bytes((128, 0, 100, 0)))  # its sum is 100
+                other.saber.write(bytes((128, 0, 100, 0)))  # 100 would be its right check sum
             frames = sim.stats()["lines"]["bus"]
             await until(lambda: sim.stats()["lines"]["bus"]["bad_crc"] >= 20, "they have come")
             assert frames["frames"] >= 0

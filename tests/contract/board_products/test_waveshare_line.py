@@ -39,7 +39,7 @@ def spec_of(board):
 
 
 def with_odometers(spec):
-    """Feedback by the odometers, whole centimetres, in place of the speeds."""
+    """Return the line with feedback by the odometers, in whole centimetres, and no speeds."""
     text = spec.text
     wheels = {name: replace(w, counts_per_turn=COUNTS_PER_TURN) for name, w in text.wheels.items()}
     feedback = '{{"T":1001,"v":{voltage_v:d},"odr":{right_m:d},"odl":{left_m:d}}}\n'

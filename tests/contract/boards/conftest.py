@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reference board. Files about other boards have a `program` or a `peer` of their own."""
+"""Fixtures of the reference board. Files about other boards have their own `program` or `peer`."""
 
 import pytest
 from mcu_peer import McuPeer, compiled
@@ -7,7 +7,7 @@ from mcu_peer import McuPeer, compiled
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory):
-    """Compiled for this machine."""
+    """The reference board as a program that is compiled for this machine."""
     return compiled(tmp_path_factory.mktemp("board"))
 
 

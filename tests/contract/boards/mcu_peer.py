@@ -16,7 +16,7 @@ STRICT = ["-std=c11", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Werror",
 
 
 def compiled(folder: Path) -> Path:
-    """The board as a program."""
+    """Compile the board and return the program."""
     program = folder / "mcu_host"
     sources = [ROOT / "docs/mcu/motord_mcu.c", ROOT / "tests/contract/boards/mcu_host.c"]
     flags = [*STRICT, "-D_DEFAULT_SOURCE", f"-I{ROOT / 'docs/mcu'}"]
@@ -26,7 +26,7 @@ def compiled(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Sent:
-    """What the board sends its motors."""
+    """Command that the board gives its two motors."""
 
     enabled: bool
     braking: bool
@@ -39,7 +39,7 @@ WITHOUT_POWER = Sent(enabled=False, braking=False, left_mrad_s=0, right_mrad_s=0
 
 
 class McuPeer:
-    """Runs until it is closed. `sent` grows with each change."""
+    """A board that runs until it is pulled. `sent` gets each changed command to its motors."""
 
     def __init__(self, program: Path, link: Path) -> None:
         self.link = link
@@ -65,19 +65,19 @@ class McuPeer:
             self.sent.append(Sent(bool(enabled), bool(braking), left, right, duty))
 
     def do(self, letter: str) -> None:
-        """f fault, g fault gone, r restart, m mute, d takes nothing, w well again, i a sensor, t
-        turn the first motor backward by hand, s release it."""
+        """Change the board: f fault, g fault gone, r restart, m mute, d drop what it receives,
+        w end m and d, i add a sensor, t turn the first motor backward by hand, s release it."""
         assert self.process.stdin is not None
         self.process.stdin.write(letter.encode())
         self.process.stdin.flush()
 
     @property
     def now(self) -> Sent:
-        """The newest; before its first line the motors have been sent nothing."""
+        """The newest command; WITHOUT_POWER before the first one."""
         return self.sent[-1] if self.sent else WITHOUT_POWER
 
     def pull(self) -> None:
-        """The board is gone, and its port with it."""
+        """Unplug the board: end its program and remove its port."""
         if self.process.stdin is not None and not self.process.stdin.closed:
             self.process.stdin.close()
             self.process.wait(10)

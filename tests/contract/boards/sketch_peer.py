@@ -12,7 +12,7 @@ from motord_hal.mcu.frames import Frame, Splitter, Type, build, parse
 ROOT = Path(__file__).resolve().parents[3]
 STUBS = ROOT / "tests/contract/boards/arduino"
 STANDARDS = {"ESP32": "gnu++2a", "AVR": "gnu++11", "RP2040": "gnu++17"}
-"""As the cores of their time set it (ESP32's is newer still)."""
+"""C++ standard that each chip's Arduino core sets (the newest ESP32 core: a newer one)."""
 STRICT = ["-Wall", "-Wextra", "-Wshadow", "-Werror", "-O1"]
 STEP_US = 1000
 ENABLE, RESTART_NOTED = 1, 8
@@ -20,7 +20,7 @@ WATCHDOG_MS, FEEDBACK_MS = 100, 10
 
 
 def compiled(folder: Path, chip: str) -> Path:
-    """The sketch as a program."""
+    """Compile the sketch for a chip and return the program."""
     include = [f"-I{ROOT / 'docs/mcu'}", f"-I{STUBS}"]
     board, program = folder / f"board_{chip}.o", folder / f"sketch_{chip}"
     source = ROOT / "docs/mcu/motord_mcu.c"
@@ -32,15 +32,15 @@ def compiled(folder: Path, chip: str) -> Path:
 
 
 class Sketch:
-    """A chip with the sketch on it. Time stands unless it is advanced."""
+    """A chip that runs the sketch. Its time advances only in `run`."""
 
     def __init__(self, program: Path) -> None:
         self.levels: dict[int, int] = {}
         self.pwm: dict[int, float] = {}
         self.writes: list[str] = []
-        """Everything that the sketch did to the chip."""
+        """Everything that the sketch did to the chip, in order."""
         self.feedback: list[bytes] = []
-        """Payloads."""
+        """Payload of each feedback frame, in order."""
         self.watchdog_ms = 0
         self.now_us = 0
         self._sequence = 0
@@ -75,7 +75,7 @@ class Sketch:
                 self.feedback.append(parse(piece).payload)
 
     def run(self, seconds: float, *mrad_s: int, control: int | None = None) -> None:
-        """loop() each millisecond; set-points every ten, where there are any."""
+        """Call loop() every millisecond; send set-points, if any, every ten milliseconds."""
         for step in range(round(seconds * 1e6 / STEP_US)):
             if mrad_s and step % 10 == 0:
                 self.command(ENABLE if control is None else control, *mrad_s)
@@ -84,7 +84,7 @@ class Sketch:
             self.do("loop")
 
     def command(self, control: int, *mrad_s: int) -> None:
-        """A frame of set-points comes."""
+        """Send the sketch a frame of set-points."""
         motors = b"".join(struct.pack("<ih", each, 0) for each in mrad_s)
         head = struct.pack("<BBHH", control, len(mrad_s), WATCHDOG_MS, FEEDBACK_MS)
         self._sequence += 1
@@ -96,7 +96,7 @@ class Sketch:
         self.run(0.02, 0, 0)
 
     def turn(self, a_pin: int, b_pin: int, edges: int) -> None:
-        """Quadrature, A before B where `edges` is positive."""
+        """Make quadrature edges on two pins, A before B if `edges` is positive."""
         row = [(1, 0), (1, 1), (0, 1), (0, 0)]
         for step in range(abs(edges)):
             a, b = row[step % 4] if edges > 0 else row[::-1][(step + 1) % 4]

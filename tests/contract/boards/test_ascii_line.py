@@ -41,7 +41,7 @@ async def test_duties_are_sent_as_the_classic_line_and_zeros_until_it_is_armed(p
 
 
 async def test_a_new_set_point_does_not_wait_for_its_cycle(peer):
-    """Of the real-time engine. The cycle is longer than this test waits for anything."""
+    """The real-time engine sends it at once. One cycle lasts longer than this test ever waits."""
     made = spec_of(peer.link, "{left:d},{right:d}\n")
     once = tuple(replace(joint, tries=1) for joint in made.joints)
     async with running(replace(made, joints=once, cycle_hz=0.0125)) as rig:
@@ -127,7 +127,7 @@ async def test_without_feedback_the_state_of_the_port_is_that_of_the_board(tmp_p
 
 
 async def test_a_board_that_a_dead_program_left_is_sent_zero_and_reported_as_unconfirmed(peer):
-    """It sends nothing: that the port has taken the bytes is all that is known."""
+    """The board sends nothing; it is only known that the port has taken the bytes."""
     problems = await halt_line(spec_of(peer.link, "{left:d},{right:d}\n"))
     assert problems
     assert all("the drive cannot report whether it has power" in each for each in problems)

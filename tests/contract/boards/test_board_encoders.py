@@ -25,7 +25,7 @@ async def rig(peer, chip):
 
 
 def line_with(peer, chip):
-    """The left wheel's encoder counts down when it turns forward."""
+    """Return a line whose left encoder counts down when its wheel turns forward."""
     profile, port = find_profile("bts7960"), str(peer.link)
     joints = tuple(
         JointSpec(
@@ -48,7 +48,7 @@ def feedback_of(rig, joint=0):
 
 
 def count_of(rig):
-    """Counts of the left wheel, signed."""
+    """Return the count of the left wheel as a signed number."""
     count = feedback_of(rig).count
     return count - (1 << 64) if count >> 63 else count
 

@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only the line of a board in C guarantees: no action and no delay of asyncio moves a
-motor."""
+"""Guarantee of the board lines in C: no action and no delay of asyncio moves a motor."""
 
 import time
 
@@ -15,11 +14,11 @@ from motord_hal.realtime.exchange import JointSetpoint, Setpoints
 
 TURN_RAD_S = 3.0
 NEVER_S = 60.0
-"""Of a watchdog: longer than any test waits."""
+"""Watchdog time that is longer than any test waits."""
 
 
 def sleep_until(condition):
-    """As `until`, and no event loop runs meanwhile."""
+    """Wait as `until` does, but keep the event loop blocked."""
     end_s = time.monotonic() + 20.0
     while not condition():
         assert time.monotonic() < end_s
@@ -27,7 +26,7 @@ def sleep_until(condition):
 
 
 def core_alone(loop, ticks):
-    """New set-points every 10 ms, from a living core; returns the longest pause."""
+    """Put new set-points every 10 ms as a live core does; return the longest pause in ns."""
     longest_ns = 0
     for tick in range(ticks):
         before_ns, loop.put_ns = loop.put_ns, now_ns()

@@ -32,7 +32,7 @@ COUNTS_PER_RAD = 1320 / math.tau
 
 @pytest.fixture
 def board_of(program, tmp_path):
-    """Plugs the board in."""
+    """Function that plugs the board in and returns it."""
     return lambda: McuPeer(program, tmp_path / "board")
 
 
@@ -195,7 +195,7 @@ async def test_a_board_that_no_longer_receives_stops_by_itself_and_stays_off(rig
     assert not peer.now.enabled
 
 
-# -------------------------------------------------------------------------------- not being there
+# ---------------------------------------------------------------------- boards that are unplugged
 async def test_a_mute_board_is_unresponsive_and_stopped_and_comes_back_disarmed(rig, peer):
     await armed_and_turning(rig, peer)
     peer.do("m")
@@ -266,8 +266,8 @@ async def test_a_port_that_goes_away_while_it_is_opened_is_opened_again(peer, mo
 
 
 async def left_turning(peer, spec, spoke=0):
-    """As a killed program leaves it: enabled, turning, its watchdog two seconds away; it
-    had sent some frames before."""
+    """Leave the board as a killed program does: enabled and turning, with a watchdog of two
+    seconds, after `spoke` earlier frames."""
     sender = FrameSender(spec)
     for _ in range(spoke):
         sender.setpoints({}, now_ns())
@@ -327,7 +327,7 @@ async def test_a_fault_stops_the_board_is_reported_in_words_and_can_be_cleared(r
     await rig.arm()
 
 
-# ------------------------------------------------------------------------------------- what is what
+# --------------------------------------------------------------- counters, registers, refused lines
 async def test_round_trips_and_rates_are_counted(rig):
     await rig.ready()
     await until(lambda: rig.line.stats().exchanges > 30)

@@ -40,7 +40,7 @@ def pins(built):
 
 @pytest.fixture
 def fresh(built):
-    """Before setup()."""
+    """The sketch before its setup() has run."""
     sketch = Sketch(built[1])
     yield sketch
     sketch.close()
@@ -57,7 +57,7 @@ def resting(sketch, pins):
 
 
 def reported(sketch):
-    """Status, and of each motor its count and velocity in mrad/s."""
+    """Return the status, and for each motor its count and its velocity in mrad/s."""
     payload = sketch.feedback[-1]
     return payload[0], [struct.unpack_from("<ii", payload, 16 + 10 * motor) for motor in (0, 1)]
 
@@ -89,7 +89,7 @@ def test_set_points_turn_each_motor_in_its_own_direction(sketch, pins):
     sketch.arm()
     sketch.run(0.03, 4200, -4200)
     assert [sketch.levels[pin] for pin in (*pins.in1, *pins.in2)] == [1, 0, 0, 1]
-    # 0.2 by the speed, 0.126 by the gain of what is missing, little by the lag of 30 ms
+    # duty: 0.2 for the speed, 0.126 for the error in speed, a little for its sum over 30 ms
     assert [sketch.pwm[pin] for pin in pins.pwm] == [pytest.approx(0.36, abs=0.04)] * 2
     sketch.run(0.03, 10**9, 0)
     assert sketch.pwm[pins.pwm[0]] == 1.0
@@ -147,7 +147,7 @@ def test_speed_is_measured_and_regulated_to_the_set_point(sketch, pins):
     missing = sketch.pwm[pins.pwm[0]]
     sketch.turn(pins.a[0], pins.b[0], 8)
     sketch.run(0.005, 4200, 4200)
-    # 8 of 1320 edges in 5 ms are 7.6 rad/s: faster than wanted
+    # 8 of 1320 edges in 5 ms are 7.6 rad/s: faster than the set-point
     assert sketch.pwm[pins.pwm[0]] < missing - 0.1
     assert sketch.pwm[pins.pwm[1]] == pytest.approx(missing, abs=0.02)
 

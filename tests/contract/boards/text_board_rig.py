@@ -30,7 +30,7 @@ class Reader:
 
     def _read(self):
         came = tail = b""
-        while b"!" not in came:  # which a line may follow at once
+        while b"!" not in came:  # a read may begin or end with lines
             came = os.read(self.master, 4096)
             *lines, tail = (tail + came).split(b"\n")
             self.lines += lines

@@ -35,7 +35,7 @@ def spec_of(peer, *nodes, **changes):
 
 
 class FullBus(can.bus.BusABC):
-    """An adapter whose queue is full, or that is pulled: python-can's own errors."""
+    """A bus whose `send` raises an error of python-can: its queue is full, or it was pulled."""
 
     def __init__(self, error):
         super().__init__("full")

@@ -15,13 +15,13 @@ from scripted_odrive import IDLE, INPUT_VELOCITY, STATE
 from motord_hal.fieldbus.ports import DriveState
 
 FRAME = struct.Struct("=IB3x8s")
-"""struct can_frame: linux/can.h"""
+"""`struct can_frame` of linux/can.h."""
 
 HEARTBEAT, ESTIMATES = 0x01, 0x09
 
 
 class Bus:
-    """A bus that is read when the test calls for it, from any thread."""
+    """A bus with one axis, which is read only when the test calls a method, from any thread."""
 
     engine = "auto"
 
@@ -46,7 +46,7 @@ class Bus:
             self.end.close()
 
     def say(self):
-        """What an axis sends by itself, at rest."""
+        """Send what an axis at rest sends periodically: a heartbeat and its estimates."""
         self.reported_ns = time.monotonic_ns()
         for command, data in (
             (HEARTBEAT, struct.pack("<IB3x", 0, self.state)),
@@ -55,7 +55,7 @@ class Bus:
             self.end.send(FRAME.pack(command, 8, data))
 
     def receive(self):
-        """Take in all received frames; the axis follows at once."""
+        """Take in all received frames; the axis changes to a requested state at once."""
         while True:
             try:
                 frame = self.end.recv(72)
@@ -77,7 +77,7 @@ class Bus:
         return [int.from_bytes(data[:4], "little") for c, data in self.received if c == STATE]
 
     def live(self, seconds):
-        """Only the axis runs in this process."""
+        """Run the axis for this time while the event loop of this process is blocked."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             self.say()
@@ -86,7 +86,7 @@ class Bus:
 
 
 async def lively(rig, bus, condition):
-    """Waits until it is true while the axis runs."""
+    """Run the axis until the condition is true."""
 
     def both():
         bus.say()

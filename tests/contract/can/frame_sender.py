@@ -8,7 +8,7 @@ NS_PER_US = 1000
 
 
 class FrameSender:
-    """One program's frames: each has the next number."""
+    """Makes the frames of one program, numbered in sequence."""
 
     def __init__(self, spec):
         profile = spec.joints[0].profile

@@ -16,12 +16,12 @@ KINDS = (
     if INTERFACE
     else [("udp_multicast", "asyncio"), ("unix", "asyncio"), ("unix", "rt")]
 )
-"""Of buses, with the engine of the line on them."""
+"""Kinds of buses, each with the engine of the line on it."""
 
 
 @contextlib.contextmanager
 def shared_bus(kind):
-    """Its address. A socket at a path needs a program that hands the frames on."""
+    """Yield the address of a new bus. For a bus at a Unix socket a thread passes the frames on."""
     address = new_address(kind)
     if kind != "unix":
         yield address
@@ -43,8 +43,8 @@ def shared_bus(kind):
 
 
 class End(UnixClient):
-    """A frame that the bus does not take now is lost, as a drive's is: a busy machine may leave the
-    bus unread for longer than its buffer lasts."""
+    """An end that drops a frame which the bus does not take at once, as a drive does: on a busy
+    machine the bus may be unread until its buffer is full."""
 
     def send(self, msg, timeout=None):
         with contextlib.suppress(BlockingIOError):
@@ -52,7 +52,7 @@ class End(UnixClient):
 
 
 def end_of(address, bitrate=500_000, data_bitrate=None):
-    """One more on the bus."""
+    """Open one more end of the bus."""
     interface, channel = split_address(address)
     if interface == "unix":
         return End(channel)

@@ -15,8 +15,8 @@ OK, BELL = b"\r", b"\a"
 
 
 class SlcanAdapter:
-    """Plugged at `link`. `recv` and `send` are the bus; what is sent while its channel is closed is
-    lost."""
+    """An adapter that is plugged in at `link`. `recv` and `send` are its side of the bus; a frame
+    that is sent while its channel is closed is lost."""
 
     def __init__(self, link):
         self.link = link
@@ -51,7 +51,7 @@ class SlcanAdapter:
             self._master = -1
 
     def say(self, data):
-        """Raw bytes to the host, as they are; no program there: they are lost."""
+        """Send the host these raw bytes; they are lost if no program reads them."""
         if self._master >= 0:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, data)

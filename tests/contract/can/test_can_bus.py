@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong on a CAN bus itself: bus-off, error frames, a full queue, a flood, no adapter."""
+"""Faults of a CAN bus itself: bus-off, error frames, a full queue, a flood, no adapter."""
 
 import asyncio
 import errno
@@ -171,7 +171,7 @@ async def test_a_drive_whose_stop_the_bus_did_not_take_is_stopped_with_the_next_
 )  # the rt engine: tests/c/can_drive/test_can_stops.c
 async def test_no_more_motion_is_handed_to_a_bus_that_does_not_send_it(rig, peer):
     await rig.arm()
-    rig.line._gate.receives_own = True  # and no frame of ours is ever seen to leave
+    rig.line._gate.receives_own = True  # the line waits for its own frames, which never come
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
     await until(lambda: any(peer.axes[0].velocities()))
     await until(lambda: peer.axes[0].velocities()[-1] == peer.axes[3].velocities()[-1] == 0.0)
@@ -185,13 +185,13 @@ async def test_no_more_motion_is_handed_to_a_bus_that_does_not_send_it(rig, peer
 
 @pytest.mark.parametrize("peer", ["virtual"], indirect=True)  # tests/c/can/test_can_kick.c
 async def test_motion_that_has_not_left_is_not_followed_by_early_motion(rig, peer):
-    """No cycle is due before this test has given up."""
+    """The period is changed so that no cycle is due while this test runs."""
     await rig.arm()
     rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: TURN, 1: TURN}
     await until(lambda: any(peer.axes[0].velocities()))
     rig.line._period_s = 2.0 * GENEROUS_S
     cycles = rig.line.stats().cycles
-    await until(lambda: rig.line.stats().cycles > cycles)  # one was due by the period before
+    await until(lambda: rig.line.stats().cycles > cycles)  # one was due by the old period
 
     async def command(turns):
         rig.loop.velocity_rad_s = {0: turns * TURN, 1: turns * TURN}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a CAN line of either engine ends on a bus whose queue is full: sent again, or reported."""
+"""End of a CAN line of either engine on a full bus: a lost power-off is sent again, or reported."""
 
 import asyncio
 
@@ -24,7 +24,7 @@ async def opened(rig, bus):
 
 
 async def fill(rig, bus):
-    """Fills the queue: no drive reads until nothing more can be sent."""
+    """Fill the queue: read nothing from the bus until the line cannot send any more."""
 
     def full():
         bus.say()
@@ -101,7 +101,7 @@ async def turning(rig, axis):
 @pytest.mark.parametrize("kind", BUSES)
 @pytest.mark.parametrize("unresponsive", [False, True])
 async def test_a_power_off_that_a_cut_cable_lost_is_sent_again(kind, unresponsive):
-    """That the bus has taken it proves nothing."""
+    """A frame that the bus has taken need not reach the drive."""
 
     async def mend(axis):
         await until(lambda: not axis.ignored or len(axis.received) > mark + 10)

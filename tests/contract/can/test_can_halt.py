@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drives on a CAN bus whose daemon has died: stopped by the program that comes next."""
+"""Drives on a CAN bus whose daemon has died are stopped by the next program."""
 
 import pytest
 from can_rig import spec_of

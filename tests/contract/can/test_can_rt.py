@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only the CAN line in C guarantees: no action and no delay of asyncio moves a motor."""
+"""Guarantee of the CAN line in C: no action and no delay of asyncio moves a motor."""
 
 import math
 import time
@@ -27,7 +27,7 @@ async def rig(bus):
 
 async def test_an_event_loop_that_hangs_does_not_keep_a_motor_turning(rig, bus):
     await arm(rig, bus)
-    bus.live(PATIENT_S + 0.3)  # set-points grow old meanwhile, and no drive runs
+    bus.live(PATIENT_S + 0.3)  # the event loop hangs: set-points get old
     assert bus.velocities()[-1] == 0.0
     assert bus.states()[-1] == IDLE
     bus.received.clear()
@@ -79,7 +79,7 @@ async def test_a_blocked_bus_loses_set_points_and_then_gets_the_newest(rig, bus)
     assert rig.states() <= {DriveState.ARMED, DriveState.READY}
     rig.loop.velocity_rad_s = {0: 3 * TURN}
     rig.loop.put()
-    bus.receive()  # what had been sent
+    bus.receive()  # the frames that were sent before
     bus.received.clear()
     await lively(rig, bus, lambda: len(bus.velocities()) > 2)
     assert all(one in (0.0, pytest.approx(3.0)) for one in bus.velocities()[1:])
@@ -123,12 +123,12 @@ async def test_a_bus_that_disappears_is_reopened_and_its_drive_is_set_up_disarme
 
 async def test_feedback_carries_the_time_at_which_the_kernel_received_the_frame(rig, bus):
     await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
-    while time.monotonic_ns() < bus.reported_ns + 20_000_000:  # a sample of its own
+    while time.monotonic_ns() < bus.reported_ns + 20_000_000:  # the next sample is a separate one
         bus.receive()
     before_ns = time.monotonic_ns()
     bus.say()
     after_ns = time.monotonic_ns()
-    while time.monotonic_ns() < after_ns + 50_000_000:  # a look that is late
+    while time.monotonic_ns() < after_ns + 50_000_000:  # the event loop hangs: it looks late
         bus.receive()
     await until(lambda: rig.loop.exchange.take_feedback(0).stamp_ns >= before_ns - 1_000_000)
     assert rig.loop.exchange.take_feedback(0).stamp_ns <= after_ns + 5_000_000

@@ -56,7 +56,7 @@ side = "right"
 
 @contextlib.contextmanager
 def simulated(folder, drive, nodes=(3, 7)):
-    """The bus's address, and the frames that pass on it, in a list."""
+    """Simulate a bus; yield its address and a list to which each of its frames is added."""
     file = folder / "robot.toml"
     address = f"unix:{folder}/bus"
     file.write_text(ROBOT.format(channel=f"{folder}/bus", drive=drive, nodes=nodes))
@@ -86,7 +86,7 @@ def drives_of(address, data_bitrate=None, progress=None):
 
 
 def sent_by_us(drive, nodes, seen):
-    """Frames that no drive of this profile sends."""
+    """Return the frames that no drive of this profile sends."""
     table = find_profile(drive).can
     theirs = {frame.identifier(node) for node in nodes for frame in table.frames_from(Sender.DRIVE)}
     return [m for m in seen if m.is_remote_frame or m.arbitration_id not in theirs]
@@ -163,7 +163,7 @@ def test_a_bus_that_cannot_be_opened_is_named_with_the_remedy(tmp_path):
         scan_can("socketcan:can77", 500_000, None, print)
 
 
-# ----------------------------------------------------------------------------- what is requested
+# -------------------------------------------------------------------------- requests and answers
 def nodes_of(*messages):
     found = Received()
     for message in messages:
@@ -176,7 +176,7 @@ def standard(identifier, data):
 
 
 def test_pdos_of_a_canopen_node_are_not_taken_for_an_odrive():
-    pdo = standard(0x181, bytes(8))  # the heartbeat of an ODrive 12 looks the same
+    pdo = standard(0x181, bytes(8))  # an ODrive's heartbeat at node 12 has this identifier, too
     heartbeat = standard(0x701, b"\x05")
     assert nodes_of(pdo) == set()
     assert nodes_of(pdo, pdo) == {("ODrive", 12)}

@@ -20,7 +20,7 @@ FRAME = can.Message(arbitration_id=0x123, data=b"motord", is_extended_id=False)
 
 @contextlib.contextmanager
 def threads(*works):
-    """Each in a thread; at the end the error of any that failed."""
+    """Run each function in a thread; at the end raise the error of one that failed."""
     with ThreadPoolExecutor(len(works)) as pool:
         futures = [pool.submit(work) for work in works]
         yield futures
@@ -29,7 +29,7 @@ def threads(*works):
 
 
 def joined(path):
-    """On the bus, as soon as it has room for one more."""
+    """Join the bus as soon as it has room for one more client."""
     end_s = time.monotonic() + DEADLINE_S
     while True:
         try:

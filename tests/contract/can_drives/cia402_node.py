@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A CiA 402 drive made of canopen's LocalNode: its SDO server, NMT slave and heartbeat are that
-project's. PDOs go only as they were mapped in its object dictionary: by event, or by SYNC where
-their transmission type demands it."""
+project's. PDOs are exchanged only as they were mapped in its object dictionary: by event, or by
+SYNC if their transmission type demands it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ INERTIA_KG_M2, RPM = 0.07, 2 * math.pi / 60
 
 
 def dictionary(node):
-    """As a drive leaves the factory: PDOs at their default identifiers, mapped to nothing."""
+    """Return a new drive's object dictionary: PDOs at default identifiers, mapped to nothing."""
     od = canopen.ObjectDictionary()
     for index, (kind, default, access) in VARIABLES.items():
         od.add_object(_variable(f"o{index:04X}", index, 0, kind, default, access))
@@ -67,23 +67,23 @@ def _record(index, entries):
 
 
 class Cia402Node:
-    """Node, state machine and PDO exchange; a thread of its own serves the event timers."""
+    """Node, state machine and PDO exchange; a thread of its own sends the PDOs of event timers."""
 
     def __init__(self, bus, node):
         self.node_id = node
         self.status, self.controls, self.velocities = SWITCH_ON_DISABLED, [], []
         self.operational_at = []
-        """Of each control word: whether it was operational when it came."""
+        """For each control word: whether the node was operational when it came."""
         self._sent_s = 0.0
         self.error_code = 0
         self.position, self.velocity, self.torque = 0, 0, 0
         self.torques = []
         self.target, self.targets = 0, []
-        """Positions; each with the state that it found."""
+        """Each received target position with the status word's state at that time."""
         self.taken = []
-        """Targets, in profile position mode."""
+        """Targets that were taken in profile position mode."""
         self.more_status = 0
-        """Bits of the status word beside those of the state."""
+        """Bits that the status word has in addition to those of the state."""
         self.stuck = False
         self.syncs, self.waiting = 0, {}
         self.network = canopen.Network(bus)
@@ -110,7 +110,7 @@ class Cia402Node:
         self.network.disconnect()
 
     def reboot(self):
-        """Everything as the factory left it."""
+        """Restart the node with its factory settings."""
         self.node.nmt.stop_heartbeat()
         self.node.data_store.clear()
         self.node.nmt.state = "PRE-OPERATIONAL"
@@ -182,8 +182,8 @@ class Cia402Node:
                 self.targets.append((self.target, self.status))
 
     def _turn(self):
-        """The torque, in 0.1 % of 1 N m, for the time of a SYNC; without power it is at rest. With
-        power it is at its target at once."""
+        """Move for one SYNC period: in position mode to the target at once, in torque mode by the
+        torque, in 0.1 % of 1 N m. Without power it does not move."""
         if self.get(0x6061) == POSITION_MODE and self.status == OPERATION:
             self.position = self.target
         if self.get(0x6061) == TORQUE_MODE:
@@ -191,7 +191,7 @@ class Cia402Node:
             self.velocity = self.velocity + step if self.status == OPERATION else 0
 
     def control(self, word):
-        """CiA 402-2, 8.3: one transition a command; a fault is reset by a rising edge of bit 7."""
+        """Do one transition (CiA 402-2, 8.3); a rising edge of bit 7 resets a fault."""
         before = self.controls[-1] if self.controls else 0
         self.controls.append(word)
         self.operational_at.append(self.operational)
@@ -220,8 +220,8 @@ class Cia402Node:
             self.velocity = 0
 
     def _take_target(self, before, word):
-        """CiA 402-2, 10.3: with the rising edge of bit 4, and with bit 5 at once; then it is there
-        at once. The acknowledge lasts until bit 4 falls."""
+        """Take the target at a rising edge of bit 4 with bit 5 set (CiA 402-2, 10.3), and be there
+        at once. The acknowledge bit stays until bit 4 falls."""
         if not word & NEW_SETPOINT:
             self.more_status &= ~TAKEN
         can_take = self.get(0x6061) == PROFILE_POSITION and self.status == OPERATION

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A moteus controller by its documents (docs/protocol/can.md and registers.md there) and not by
-motord's profile: a register server that takes any subframes, in any order."""
+"""A moteus controller written from its maker's documents (docs/protocol/can.md, registers.md) and
+not from motord's profile: a register server that takes any subframes, in any order."""
 
 import math
 import struct
@@ -16,7 +16,7 @@ FORMATS = {0: "<b", 1: "<h", 2: "<i", 3: "<f"}
 CURRENT, TORQUE, VOLTAGE = (1, 0.1, 0.001), (0.5, 0.01, 0.001), (0.5, 0.1, 0.001)
 CELSIUS, TURNS, TURNS_S = (1, 0.1, 0.001), (0.01, 0.0001, 0.00001), (0.1, 0.00025, 0.00001)
 SECONDS, WHOLE = (0.01, 0.001, 0.000001), (1, 1, 1)
-# register → what one is worth as int8, int16, int32; as a float it is itself
+# register → value of one count as int8, int16, int32; a float is not scaled
 SCALES = {
     0x000: WHOLE, 0x001: TURNS, 0x002: TURNS_S, 0x003: TORQUE, 0x004: CURRENT, 0x00D: VOLTAGE,
     0x00C: WHOLE, 0x00E: CELSIUS, 0x00F: WHOLE, 0x020: TURNS, 0x021: TURNS_S, 0x022: TORQUE,
@@ -26,11 +26,11 @@ COMMANDS = (0x020, 0x021, 0x022, 0x027, 0x028)
 LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 NOTHING = 0x50
 STOP = bytes([0x01, 0x00, STOPPED])
-"""How a command begins that takes the power: mode, as int8."""
+"""First bytes of a command that takes the power: it writes the mode as int8."""
 
 
 def varuint(data):
-    """A whole number, seven bits a byte, the lowest first."""
+    """Take a whole number from the front of `data`: seven bits a byte, the lowest first."""
     value = shift = 0
     while True:
         byte = data.pop(0)
@@ -41,17 +41,17 @@ def varuint(data):
 
 
 class Moteus:
-    """One controller on a bus. It turns at once as commanded."""
+    """One controller on a bus, whose motor has the commanded speed at once."""
 
     def __init__(self, address, node):
         self.node = node
         self.values = dict.fromkeys(SCALES, 0.0) | {0x00D: 24.0, 0x00E: 31.5}
         self.modes, self.velocities, self.bad = [], [], []
         self.positions = []
-        """Of each command: where it was sent, and the mode that it had then."""
+        """Target of each command, and the controller's mode after it."""
         self.bites = 0
         self.lost_stops = 0
-        """How many of the next stops are lost."""
+        """Number of the next stop commands that are lost."""
         self.unreceptive = False
         self._fed_s = None
         self._enabled_at_s = 0.0
@@ -108,7 +108,7 @@ class Moteus:
                                    bitrate_switch=True, data=reply))  # fmt: skip
 
     def execute(self, frame):
-        """Carries out the writes of a frame and answers its reads."""
+        """Carry out the writes of a frame; return the answer to its reads."""
         data, reply = list(frame), b""
         wanted = {}
         while data:

@@ -23,13 +23,13 @@ IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_CONTROL, POSITION_CONTROL = 2, 3
 HEARTBEAT_S, ESTIMATES_S = 0.05, 0.01
 INTERFACE = os.environ.get("MOTORD_CAN_INTERFACE")
-"""Of the kernel, for these tests alone: up, without other users."""
+"""A CAN interface of the kernel, up and used by these tests alone; None: buses without one."""
 BUSES = (
     {"socketcan": "rt", "socketcan-asyncio": "asyncio"}
     if INTERFACE
     else {"virtual": "asyncio", "udp_multicast": "asyncio", "unix": "rt"}
 )
-"""Kinds of buses, and the engine that a line has there."""
+"""Kinds of buses, each with the engine of a line on it."""
 
 
 def free_udp_port():
@@ -39,7 +39,7 @@ def free_udp_port():
 
 
 def new_address(kind):
-    """A bus of its own, as a robot file's line would name it."""
+    """Return the address of a new bus (SocketCAN: of INTERFACE) as a robot file's line names it."""
     if kind.startswith("socketcan"):
         return f"socketcan:{INTERFACE}"
     if kind == "virtual":
@@ -50,12 +50,12 @@ def new_address(kind):
 
 
 def engine_asked(kind):
-    """Of a line on such a bus."""
+    """Return the engine setting of a line on such a bus."""
     return "asyncio" if kind.endswith("-asyncio") else "auto"
 
 
 def open_bus(address):
-    """The far end of it, or one that is open already."""
+    """Open and return the far end of a bus; return one that is open already as it is."""
     if not isinstance(address, str):
         return address
     interface, _, channel = address.partition(":")
@@ -69,7 +69,7 @@ def open_bus(address):
 
 @dataclass
 class Axis:
-    """What one axis is and was sent."""
+    """State of one axis, and what it was sent."""
 
     state: int = IDLE
     error: int = 0
@@ -82,13 +82,13 @@ class Axis:
     no_estimates: bool = False
     no_heartbeat: bool = False
     ignored: set[int] = field(default_factory=set)
-    """Commands that are lost in transit."""
+    """Commands that have no effect, as if lost in transit; `received` records them."""
     stuck: bool = False
-    """It does not change its state."""
+    """Whether the axis ignores requests to change its state."""
     input_turns: float = 0.0
-    """Where it goes at once, with power and in position control."""
+    """Newest position input; with power and in position control the axis is there at once."""
     received: list[tuple[int, bytes]] = field(default_factory=list)
-    """Command and data of each frame that is no question."""
+    """Command and data of each frame that is not a remote frame."""
     asked: list[int] = field(default_factory=list)
 
     def sent(self, command):
@@ -98,7 +98,7 @@ class Axis:
         return [struct.unpack("<ff", data)[0] for data in self.sent(INPUT_VELOCITY)]
 
     def inputs(self):
-        """Position in turns, and the feed-forward of velocity and torque, of each that came."""
+        """Return each position input: turns, and the feed-forward of velocity and torque."""
         return [struct.unpack("<fhh", data) for data in self.sent(INPUT_POSITION)]
 
     def states(self):
@@ -106,10 +106,10 @@ class Axis:
 
 
 class Peer:
-    """Axes by node number; `run` runs them."""
+    """ODrive axes by node number; they receive and send while `run` runs."""
 
     def __init__(self, kind, nodes=(0,), address="", far_end=""):
-        """With an address and the other end of its cable: those, not a new bus."""
+        """Use a new bus, or the one at `address`; `far_end` is the other end of its cable."""
         self.address = address or new_address(kind)
         self.kind = kind
         self.engine = engine_asked(kind)
@@ -130,12 +130,12 @@ class Peer:
             self._speak(node, axis)
 
     def cut(self):
-        """Off the bus; frames that it has not read are lost."""
+        """Take the axes off the bus; frames that they have not read are lost."""
         self._bus.shutdown()
         self._bus = None
 
     def reach(self, address):
-        """On a bus again."""
+        """Put the axes on a bus again."""
         self._bus = open_bus(address)
 
     def close(self):
@@ -197,7 +197,7 @@ class Peer:
 
 @contextlib.asynccontextmanager
 async def living(peer):
-    """The peer, alive until the end of the block."""
+    """Run the peer until the end of the block, then close it."""
     async with asyncio.TaskGroup() as group:
         task = group.create_task(peer.run())
         try:

@@ -21,7 +21,7 @@ PROFILES = [
 FAST_RAD_S, LIMITED_RAD_S = 20.0, 1.0
 NEAR_RAD = 0.02
 FAR_RAD = 15.0
-"""A first target is at most as far as a joint gets in PATIENT_S."""
+"""Far target, nearer than a joint can get in PATIENT_S: the limit of a first target."""
 
 
 @pytest.fixture(params=long_but(PROFILES[:1], PROFILES))
@@ -35,7 +35,7 @@ def folder(tmp_path):
 
 
 def line_of(profile, folder, speed_rad_s=FAST_RAD_S):
-    """An absolute encoder of the simulator shows the middle of its turn where the joint is at 0."""
+    """Return the line; a simulated absolute encoder is at the middle of its turn at angle 0."""
     spec = spec_of(profile, folder)
     zero_count = profile.counts_per_turn // 2 if profile.absolute else 0
     own = {"zero_count": zero_count, "position_velocity_rad_s": speed_rad_s}
@@ -67,7 +67,7 @@ async def some_cycles(rig):
 
 
 async def wait_for_motion(rig, sim):
-    """Both are sent far away, and move."""
+    """Arm both joints, command them far away, and wait until they move."""
     await rig.arm()
     rig.loop.position_rad = {0: FAR_RAD, 1: FAR_RAD}
     await rig.drive(lambda: min(angles_rad(sim)) > 0.5, "both move")
@@ -124,7 +124,7 @@ async def test_a_joint_whose_first_target_is_far_from_its_position_loses_its_pow
 ):
     async with running(line_of(profile, folder, LIMITED_RAD_S)) as rig:
         await rig.arm()
-        rig.loop.position_rad = {0: 1.5, 1: 0.0}  # as a wrong zero of a counter would make it
+        rig.loop.position_rad = {0: 1.5, 1: 0.0}  # as far off as with a wrong zero_count
         rig.loop.enabled = True
         await until(lambda: rig.line.drive_states["left"] is DriveState.READY, "no power")
         await until(lambda: any("check zero_count" in one.text for one in rig.events))

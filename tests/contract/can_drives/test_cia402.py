@@ -74,8 +74,8 @@ async def test_the_state_machine_is_walked_and_velocity_and_position_are_exchang
 
 
 async def words_while_armed(rig, node):
-    """Control words since it was armed, more than 20. None if it was disarmed meanwhile: the
-    machine stood still, so that set-points were old."""
+    """Arm the drive; return more than 20 control words since then. Return an empty list if it was
+    disarmed meanwhile: the machine stood still, so that set-points got old."""
     await rig.arm()
     begin = len(node.controls)
     await until(lambda: len(node.controls) > begin + 20 or rig.states() != {DriveState.ARMED})
@@ -164,7 +164,7 @@ async def test_registers_are_objects(rig, node):
 
 
 async def left_turning(node):
-    """As a killed daemon leaves it: mapped, operational, with power, at speed."""
+    """Leave the node as a killed daemon does: mapped, operational, with power, at speed."""
     async with running(spec_of(node)) as rig:
         await rig.arm()
     await until(lambda: node.silent_s > 0.3, "that program has ended")

@@ -16,7 +16,7 @@ from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 NODES = (5, 6)
 HERE = 1234
-"""Where the nodes are when they are switched on; the target of a new node is 0."""
+"""Position of the nodes when they are switched on; the target of a new node is 0."""
 COUNTS_PER_RAD = 10000 / math.tau
 REFERENCED = 0x8000
 
@@ -103,7 +103,7 @@ async def test_both_go_to_their_angles_from_their_own_positions(rig, nodes):
         assert first == HERE
     await rig.drive(lambda: rig.loop.exchange.take_feedback(1).count == wanted[1], "reported")
     rig.loop.position_rad = {}
-    await more_syncs(nodes[0])  # what was in transit
+    await more_syncs(nodes[0])  # targets that were in transit arrive
     sent = len(nodes[0].targets)
     await more_syncs(nodes[0])
     assert len(nodes[0].targets) == sent, "withheld: it holds its newest target"
@@ -133,7 +133,7 @@ async def test_a_following_error_of_the_drive_is_its_fault_and_ends_its_motion(r
 
 
 async def test_whether_it_is_homed_comes_from_its_bit(address, nodes):
-    """A drive whose manual names a bit of the status word for that."""
+    """The manual of this drive names a bit of the status word for that."""
     homed = Enabled(register="status_word", mask=REFERENCED, equals=REFERENCED)
     async with running(spec_of(address, absolute=False, homed=homed)) as rig:
 

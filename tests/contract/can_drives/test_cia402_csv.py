@@ -38,7 +38,7 @@ def nodes(address):
 
 @pytest.fixture
 def turning(nodes):
-    """As a killed daemon leaves them: with power, and no longer operational."""
+    """The nodes as a killed daemon leaves them: with power, and no longer operational."""
     for node in nodes:
         node.status, node.velocity, node.node.nmt.state = OPERATION, 60, "PRE-OPERATIONAL"
     return nodes
@@ -92,7 +92,7 @@ async def test_both_drives_turn_and_measure_with_one_sync_a_cycle(rig, nodes):
     await until(lambda: feedback(0).count == (1 << 32) - 1234)
 
     async def counted():
-        """Of a report that has just come: the engine in C reports its cycles periodically."""
+        """Return cycles and SYNCs right after a report: the engine in C reports periodically."""
         old = rig.line.stats().cycles
         await until(lambda: rig.line.stats().cycles != old)
         return rig.line.stats().cycles, nodes[0].syncs
@@ -104,7 +104,7 @@ async def test_both_drives_turn_and_measure_with_one_sync_a_cycle(rig, nodes):
 
 
 async def test_a_speed_without_a_sync_has_no_effect(nodes, spec, address):
-    """With frames of our own: how the other project's node uses its mapping."""
+    """The test sends the frames itself, to check how the other project's node maps them."""
     async with running(spec) as rig:
         await rig.arm()
     node = nodes[0]
@@ -158,7 +158,7 @@ def test_a_cycle_that_the_drive_cannot_represent_is_refused(spec):
 
 async def test_drives_that_turn_and_take_no_pdo_are_stopped_before_they_are_set_up(spec, turning):
     for node in turning:
-        del node.node.object_dictionary[0x605A]  # and cannot be set up
+        del node.node.object_dictionary[0x605A]  # so that its set-up fails
     async with running(spec) as rig:
         await until(lambda: all(node.velocity == 0 for node in turning))
         await until(lambda: rig.kinds().count(EventKind.DRIVE_UNRESPONSIVE) == len(turning))

@@ -88,7 +88,7 @@ def drive(bus):
 
 @pytest.fixture
 def profile(tmp_path):
-    """Its own: of the two types for events it supports 254 only (CiA 301, 7.5.2.37)."""
+    """The profile with PDO type 254: of the types for events (CiA 301, 7.5.2.37) it has no 255."""
     text = (config_dir() / "drives/cia402.toml").read_text(encoding="utf-8")
     path = tmp_path / "by-event.toml"
     own = text.replace('pdo_1_type", value = 255', 'pdo_1_type", value = 254')

@@ -18,13 +18,13 @@ from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
 
 TURN = 2 * math.pi
 NODES = (3, 9)
-"""One drive replies with identifiers of 11 bits, the other with 29."""
+"""Node numbers: one drive replies with identifiers of 11 bits, the other with 29 bits."""
 WATCHDOG_S = 0.25
 
 
 @pytest.fixture(params=KINDS, ids=" ".join)
 def bus(request):
-    """Its address, and the engine of the line on it."""
+    """Address of a bus, and the engine of the line on it."""
     kind, engine = request.param
     with shared_bus(kind) as address:
         yield address, engine
@@ -76,7 +76,7 @@ async def turning(rig, drives):
 
 
 def test_the_server_answers_the_documents_example_as_they_show_it(address):
-    """docs/protocol/can.md, Example."""
+    """The example is in the maker's docs/protocol/can.md."""
     drive = Moteus(address, 1)
     try:
         drive.values |= {0: POSITION, 1: 0.008, 2: 0.064, 3: -1.44, 0x00D: 12.0, 0x00E: 20.0}

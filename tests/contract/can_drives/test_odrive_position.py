@@ -27,7 +27,7 @@ from motord_hal.fieldbus.ports import DriveState, JointSpec, LineSpec
 
 NODE = 4
 HERE_TURNS = 0.375
-"""Where the axis is; the input of one that has just been switched on is 0."""
+"""Position of the axis; its position input is 0 when it is switched on."""
 ZERO_COUNT = 4096
 PASS_THROUGH = 1
 
@@ -104,7 +104,7 @@ async def test_a_position_that_is_not_finite_or_out_of_range_gets_no_power(rig, 
 
 
 def _known(rig):
-    """A sample no older than the place that a target may begin at."""
+    """Return whether a sample of the last 1.5 s has a position within 1000 turns."""
     feedback = rig.loop.exchange.take_feedback(0)
     place = feedback.count / 8192 if feedback.count < 1 << 31 else feedback.count / 8192 - 524288
     fresh = rig.loop.put_ns - feedback.stamp_ns < 1_500_000_000

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line of both engines and over all media, its drive a scripted slave. Files in which the medium
-or the number of drives matters have a `peer` of their own."""
+"""Lines of both engines over all media, with a scripted slave as their drive. Files in which the
+medium or the number of drives matters have a `peer` of their own."""
 
 import pytest
 from loop_side import running

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mode of a drive after every event in every mode, by tests/c/drive/drive_walk_table.h; and
-lines in asyncio that tests bring into each mode."""
+"""The mode of a drive after every event in every mode, as tests/c/drive/drive_walk_table.h has it;
+and lines in asyncio that a test brings into each mode."""
 
 from __future__ import annotations
 
@@ -43,21 +43,21 @@ MODES = {
     "UNRESPONSIVE": DriveState.UNRESPONSIVE,
 }
 CYCLES = 10
-"""Longer than a line needs to react to an event."""
+"""Number of cycles within which a line certainly reacts to an event."""
 MEASURING = 2
-"""ODrive, axis state: neither idle nor in control."""
+"""Axis state of an ODrive that is neither idle nor in closed-loop control."""
 
 
 def rows_of(kind):
-    """The words in each row's parentheses."""
+    """Yield the words in the parentheses of each of the table's rows of this kind."""
     rows = rf"^{kind}\(((?s:.*?))\)$"
     for found in re.findall(rows, TABLE.read_text(encoding="utf-8"), re.MULTILINE):
         yield [word.strip() for word in found.split('"')[0].split(",") if word.strip()]
 
 
 def cells(media):
-    """event → from → the mode of a drive of a line in asyncio after it. `media`: the names that
-    the table has for that line."""
+    """Return event → mode before → mode after the event, for a drive of a line in asyncio. `media`:
+    the names that the table has for that line."""
     leads = {event: dict(zip(FROM, modes, strict=True)) for event, *modes in rows_of("LEADS_TO")}
     for medium, event, begin, mode in rows_of("DIFFERS"):
         if medium in media:
@@ -71,7 +71,7 @@ def cells(media):
 
 
 def _sets_up_again(begin, event):
-    """Whether the line sets it up by itself after this event."""
+    """Return whether the line sets the drive up by itself after this event."""
     return ["ASYNCIO", event, begin, "READY"] in rows_of("DIFFERS")
 
 
@@ -80,7 +80,7 @@ def _sends_power_off(begin, event):
 
 
 def _patient(joint):
-    """Its set-up waits until the drive answers it."""
+    """Return the joint with a set-up that waits patiently for the drive's answers."""
     steps = tuple(
         step if step.value is not None else dataclasses.replace(step, within_s=GENEROUS_S)
         for step in joint.profile.configure
@@ -206,7 +206,7 @@ class CanMedium:
 
 
 class Walk:
-    """One cell: a line of its own, brought into a mode, an event, and its result."""
+    """One cell of the table: brings a line into a mode, causes an event, checks its result."""
 
     def __init__(self, medium, rig):
         self.medium = medium
@@ -221,7 +221,7 @@ class Walk:
         await getattr(self, f"_{event.lower()}")(mode)
         if _sends_power_off(begin, event):
             await until(
-                lambda: self.medium.power_off_count() > power_offs + again,  # its set-up writes one
+                lambda: self.medium.power_off_count() > power_offs + again,  # a set-up writes one
                 f"{event} from {begin}: no power",
             )
         if again:
@@ -237,7 +237,7 @@ class Walk:
         assert self.medium.motion_count() == motion, (begin, event)
 
     async def _cycles(self):
-        """Time for the line, where it is open."""
+        """Wait for CYCLES cycles, or until the line is closed or has ended."""
         before = self.rig.line.stats().cycles
         is_over = self.rig.task.done
         await until(
@@ -324,7 +324,7 @@ class Walk:
 
 
 async def walk(make, folder, event, leads):
-    """All cells of an event at once, each on a line of its own."""
+    """Run all cells of an event at once, each on a line of its own."""
 
     async def cell(begin, mode):
         place = folder / begin.lower()

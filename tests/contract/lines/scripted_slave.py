@@ -23,9 +23,9 @@ from motord_hal.modbus.codec import (
 )
 
 Bytes = list[tuple[float, bytes]]
-"""What is sent: a delay in seconds, and the bytes."""
+"""Pieces to send: for each a delay in seconds, and its bytes."""
 Trick = Callable[[Request, bytes], Bytes]
-"""Turns the honest reply into the one that is sent."""
+"""Function that gets a request and the honest reply, and returns what is sent instead."""
 
 
 @dataclass
@@ -44,16 +44,16 @@ class Unit:
     loses: int = 0
     """How many of its next requests are lost."""
     refuses: set[int] = field(default_factory=set)
-    """Addresses whose access is answered with exception 2."""
+    """Register addresses to which an access is answered with exception 2."""
 
 
 class ScriptedSlave:
-    """Answers on `path` (a symlink to the pty) from the running event loop."""
+    """Slave that answers on `path` (a symlink to its pty) from the running event loop."""
 
     def __init__(self, path: Path, engine: str = "asyncio") -> None:
         self.path = path
         self.engine = engine
-        """The engine of the line that is tried on it."""
+        """Engine of the line that the test runs against this slave."""
         self.kind = "modbus-rtu"
         self.units: dict[int, Unit] = {1: Unit()}
         self.tricks: deque[Trick] = deque()
@@ -65,7 +65,7 @@ class ScriptedSlave:
         self.plug()
 
     def plug(self) -> None:
-        """A new pty; the link points to it."""
+        """Plug the adapter in: open a new pty and point the link to it."""
         self._master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self._master, False)
@@ -76,7 +76,7 @@ class ScriptedSlave:
         asyncio.get_running_loop().add_reader(self._master, self._readable)
 
     def pull(self) -> None:
-        """The adapter is gone: the pty is closed and the link is removed."""
+        """Unplug the adapter: close the pty and remove the link."""
         if self._master < 0:
             return
         for timer in self._timers:
@@ -95,7 +95,7 @@ class ScriptedSlave:
         return [h.request for h in self.received if unit is None or h.request.unit == unit]
 
     def written(self, address: int, unit: int = 1) -> list[int]:
-        """Every value that was written to a register, in order."""
+        """Return every value that was written to a register, in order."""
         values = []
         for request in self.requests(unit):
             both = request.function is Function.READ_WRITE
@@ -132,7 +132,7 @@ class ScriptedSlave:
                 self.send(data)
 
     def later(self, delay_s: float, do: Callable[[], None]) -> None:
-        """Unless it is pulled before."""
+        """Call `do` after this time, unless the adapter is pulled before."""
         self._timers.append(asyncio.get_running_loop().call_later(delay_s, do))
 
     def _honest(self, unit: Unit, request: Request) -> bytes:

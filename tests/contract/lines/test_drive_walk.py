@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drives of lines in asyncio in every mode, and every event: by the table of the machines in C."""
+"""Every event in every mode of a drive on a line in asyncio, checked by the table of tests in C."""
 
 import math
 
@@ -30,7 +30,7 @@ def test_the_table_has_every_event_in_every_mode():
 async def test_every_event_leads_from_every_mode_to_the_mode_of_the_table(
     tmp_path, monkeypatch, make, event
 ):
-    ends = DriveRules.end_stopping  # by its wheels alone: the time of the stop never passes
+    ends = DriveRules.end_stopping  # a stop ends by rest alone: its time never passes
     monkeypatch.setattr(
         DriveRules, "end_stopping", lambda one, _, at_rest: ends(one, 0, at_rest=at_rest)
     )

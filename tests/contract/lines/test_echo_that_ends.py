@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An adapter that receives itself for a while only: a loose transceiver, another socket."""
+"""An adapter that receives its own bytes only for a while: a loose transceiver, another socket."""
 
 import pytest
 from loop_side import running, until
@@ -20,7 +20,7 @@ async def peer(tmp_path, request):
 
 
 def echo(peer, until=lambda request: False):
-    """From now on each request is echoed before its reply, up to that for which `until` is true."""
+    """From now on echo each request before its reply, up to the one for which `until` is true."""
 
     def both(request, honest):
         if not until(request):
@@ -54,7 +54,7 @@ async def test_a_line_that_begins_to_echo_is_still_read(peer):
 
 
 async def test_an_echo_does_not_count_as_the_acknowledgement_of_a_dead_drive(peer):
-    """It answered on an adapter that receives itself; then it dies, and its echo is left."""
+    """The adapter receives its own bytes. When the drive dies, only the echo is left."""
     echo(peer)
     async with running(spec_of(peer, hub_servo())) as rig:
         await rig.ready()
@@ -73,7 +73,7 @@ async def test_an_echo_does_not_count_as_the_acknowledgement_of_a_dead_drive(pee
 
 @pytest.mark.parametrize(("echo_setting", "acknowledged"), [(Echo.YES, False), (Echo.NO, True)])
 async def test_the_robot_file_decides_whether_the_line_echoes(echo_setting, acknowledged):
-    """Of a write of one register echo and reply are alike: asyncio's framer, by itself."""
+    """When one register is written, echo and reply are equal. Only asyncio's framer is tested."""
     framer = StrictFramer(echo_setting)
     request = Request(1, Function.WRITE_SINGLE, 0x200E, values=(8,))
     frame = build_request(request)

@@ -77,7 +77,7 @@ async def test_a_drive_that_refuses_its_set_points_is_stopped(rig, peer):
 
 
 async def stopped_while_it_refuses(rig, peer, stop):
-    """Its power-off begins with a register that it refuses."""
+    """Stop a drive that refuses the first write of its power-off; wait until it has no power."""
     refused, command = 8602, 8501
     peer.units[1].refuses = {refused}
     mark = len(peer.written(command))
@@ -133,7 +133,7 @@ async def test_no_drive_is_enabled_with_an_old_set_point_in_its_register(rig, pe
 
 
 def set_up_again(peer, watchdog):
-    """It is written once more where a busy machine delays an answer."""
+    """Return whether the watchdog was written again (on a busy machine more than once)."""
     written = peer.written(watchdog)
     return len(written) > 1 and set(written) == {500}
 
@@ -201,9 +201,9 @@ async def test_a_new_speed_is_never_sent_with_the_old_direction(peer):
         assert sent[-3:] == [(RUN, REST), (SPEED, 90), (RUN, REVERSE)]
 
 
-@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # no pause of Python stops the other
+@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # a pause of Python does not stop rt
 async def test_a_drive_that_has_stopped_by_itself_in_a_pause_does_not_start_again(peer):
-    """A pause of the whole process: the loop ticks again before the line has looked."""
+    """The whole process pauses; then the loop ticks again before the line checks its age."""
     peer.units[1] = Unit(registers_of("duty-register"))
     async with running(spec_of(peer, [single("duty-register")], cycle_hz=10.0)) as rig:
         await rig.arm()
@@ -247,9 +247,9 @@ async def test_a_stop_does_not_wait_for_the_next_cycle_of_a_slow_line(peer, how)
         assert zero[-1] - moving[-1] < 0.8
 
 
-@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # the other one: tests/c/line
+@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # the rt engine: tests/c/line
 async def test_a_new_command_does_not_wait_for_the_next_cycle_of_a_slow_line(peer):
-    """The next cycle would begin after this test has given up."""
+    """The period is changed so that no cycle is due while this test runs."""
     peer.units[1] = Unit(registers_of("duty-register"))
     async with running(spec_of(peer, [single("duty-register")])) as rig:
         await rig.arm()
@@ -258,15 +258,15 @@ async def test_a_new_command_does_not_wait_for_the_next_cycle_of_a_slow_line(pee
         for percent in (50, 60, 30):
             await send(rig, percent)
             await until(lambda raw=percent: peer.written(DUTY)[-1] == raw)
-            await send(rig, percent)  # nothing is new
+            await send(rig, percent)  # the same command again
         await send(rig, 0)
         await until(lambda: peer.written(DUTY)[-1] == 0)
         sent = peer.written(DUTY)[mark:]
-        assert len(sent) <= 4 + 1  # one cycle was due by the period before
+        assert len(sent) <= 4 + 1  # one cycle was due by the old period
         assert [raw for raw in dict.fromkeys(sent) if raw] == [50, 60, 30]
 
 
-@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # the other ones: tests/c
+@pytest.mark.parametrize("peer", ["asyncio"], indirect=True)  # the rt engine: tests/c
 async def test_continuous_commands_do_not_fill_a_slow_line_and_a_stop_is_sent_at_once(peer):
     peer.units[1] = Unit(registers_of("duty-register"))
     async with running(spec_of(peer, [single("duty-register")])) as rig:
@@ -277,7 +277,7 @@ async def test_continuous_commands_do_not_fill_a_slow_line_and_a_stop_is_sent_at
             await send(rig, percent)
         await send(rig, 0)
         await until(lambda: peer.written(DUTY)[-1] == 0)
-        assert len(peer.written(DUTY)[mark:]) <= lib.EARLY_AT_ONCE + 2  # the stop, and one was due
+        assert len(peer.written(DUTY)[mark:]) <= lib.EARLY_AT_ONCE + 2  # the stop, and a due cycle
 
 
 @pytest.mark.parametrize("peer", ["asyncio"], indirect=True)
@@ -298,7 +298,7 @@ async def test_a_line_that_nothing_can_wake_is_opened_and_stops_its_drives(peer,
 
 
 async def send(rig, percent):
-    """A command of the loop, which wakes the line, and time for the line to handle it."""
+    """Put a command as the loop does, wake the line, and give it time to handle the command."""
     rig.loop.enabled, rig.loop.duty = True, {0: percent / 100} if percent else {}
     rig.loop.put()
     rig.loop.exchange.wake_line(0)
@@ -335,7 +335,7 @@ async def test_shutting_down_also_reports_an_unresponsive_drive(peer):
     assert OFF in peer.written(CONTROL)[mark:]
 
 
-@pytest.mark.parametrize("peer", ["rt"], indirect=True)  # the other one's arming is one job
+@pytest.mark.parametrize("peer", ["rt"], indirect=True)  # asyncio arms in one job
 @pytest.mark.parametrize("when", ["before it goes", "while it goes"])
 async def test_a_drive_that_is_stopped_between_power_and_set_points_is_not_armed(rig, peer, when):
     await rig.ready()
@@ -348,7 +348,7 @@ async def test_a_drive_that_is_stopped_between_power_and_set_points_is_not_armed
             await drive.go(began)
     else:
         going = asyncio.create_task(drive.go(began))
-        await asyncio.sleep(0)  # its request is out
+        await asyncio.sleep(0)  # `go` runs until it waits
         off = drive.stand_down()
         with pytest.raises(HalError, match="stopped"):
             await going

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serial lines that end while a drive is disturbed: it gets its stop, or it is named."""
+"""Serial lines that end while a drive is disturbed: it gets its stop, or it is reported."""
 
 import asyncio
 import dataclasses
@@ -73,7 +73,7 @@ async def test_a_drive_that_stays_unreachable_until_the_end_is_named(peer):
 
 @pytest.mark.parametrize("later_s", [0.0, 0.02, 0.05])
 async def test_a_missing_drive_does_not_delay_the_stop_of_its_neighbour(peer, later_s):
-    """Where the wait for one reply is longer than the whole end."""
+    """The wait for one reply is longer than the time that the line has for its end."""
     other = peer.units[2] = Unit(registers_of("speed-register"))
 
     def switch(address, value):
@@ -92,7 +92,7 @@ async def test_a_missing_drive_does_not_delay_the_stop_of_its_neighbour(peer, la
         peer.units[1].silent = True
         sent = len(peer.requests(1))
         await until(lambda: len(peer.requests(1)) > sent)
-        await asyncio.sleep(later_s)  # into the exchange with the missing drive
+        await asyncio.sleep(later_s)  # the end falls into the exchange with the missing drive
         mark = len(peer.received)
     after = [received.request for received in peer.received[mark:]]
     assert peer.units[2].registers[TARGET] == 0
@@ -109,11 +109,11 @@ async def test_a_drive_whose_replies_are_lost_is_switched_off_at_the_end(peer):
 
 
 LEARNT_AFTER = 10
-"""Requests of a drive, until a line knows how long its answers take."""
+"""Number of requests to a drive after which the line knows how long its answers take."""
 
 
 def slow(peer, reply, after_s=0.018):
-    """From now on each reply is late by this time."""
+    """From now on send what `reply` makes of each honest reply, late by this time."""
     peer.tricks.clear()
 
     def later(request, honest):
@@ -127,7 +127,7 @@ def slow(peer, reply, after_s=0.018):
 async def test_each_drive_is_sent_its_whole_power_off_even_when_no_reply_arrives(
     tmp_path, engine, drives, torn_after_s
 ):
-    """Where each write that is not answered costs a good part of the end."""
+    """Each write that is not answered costs a good part of the time that the end has."""
     peer = ScriptedSlave(tmp_path / "port", engine=engine)
     profile, units = find_profile("bld-305s"), range(1, drives + 1)
     peer.units = {unit: Unit(registers_of("bld-305s")) for unit in units}

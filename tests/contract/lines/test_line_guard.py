@@ -34,7 +34,7 @@ def write(address, *values, unit=1):
 
 
 def instead(data):
-    """The peer sends these bytes instead of its reply."""
+    """Return a trick that sends these bytes instead of the reply."""
     return lambda request, honest: [(0.0, data)]
 
 
@@ -163,7 +163,7 @@ async def test_a_broadcast_is_followed_by_the_turnaround_delay(client, peer):
 async def test_a_reply_in_the_buffer_counts_even_when_the_loop_was_late(client, peer):
     def stall(request, honest):
         peer.send(honest)
-        time.sleep(0.1)  # the whole event loop: the deadline passes meanwhile
+        time.sleep(0.1)  # blocks the event loop past the deadline
         return []
 
     peer.tricks.append(stall)

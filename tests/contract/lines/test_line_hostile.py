@@ -32,7 +32,7 @@ async def set_off(rig, peer):
 
 
 def always(peer, trick):
-    """From now on each reply is what `trick` makes of the honest one."""
+    """From now on send what `trick` makes of each honest reply."""
 
     def again(request, honest):
         peer.tricks.append(again)
@@ -124,7 +124,7 @@ async def test_a_gateway_that_does_not_answer_in_modbus_does_not_block_a_power_o
 
 @pytest.mark.parametrize("peer", ["modbus-tcp"], indirect=True)
 async def test_junk_that_comes_before_a_power_off_does_not_block_it(peer):
-    """It comes while the power-off waits for the answer of an earlier request."""
+    """The junk comes while the power-off waits for the answer of an earlier request."""
     client = GatewayClient(spec_of(peer, hub_servo()))
     await client.open()
     peer.units[1].silent = True
@@ -133,7 +133,7 @@ async def test_junk_that_comes_before_a_power_off_does_not_block_it(peer):
     off = Request(1, Function.WRITE_SINGLE, CONTROL, values=(OFF,))
     peer.units[1].silent = False
     sending = asyncio.ensure_future(client.exchange(off, 5.0, urgent=True))
-    await asyncio.sleep(0)  # it waits
+    await asyncio.sleep(0)  # the power-off waits
     peer.send_raw(b"no Modbus")
     await sending
     assert peer.written(CONTROL) == [OFF]

@@ -28,9 +28,9 @@ async def peer(tmp_path, request):
 
 
 def answer_late(peer, late_s, part, seed=1):
-    """From now on: its counter is the time, and this part of its replies is late. It answers in the
-    order of its requests, as a drive does: two timers of asyncio that are due at nearly one time
-    may run in either order, so each sends what has waited longest."""
+    """From now on report the time as the position, and delay this part of the replies. They keep
+    the order of the requests, as a drive's do: each timer sends the reply that has waited longest,
+    because two timers of asyncio that are due at nearly one time may run in either order."""
     chance = random.Random(seed)
     answered_s = 0.0
     waiting = deque()
@@ -55,7 +55,7 @@ def answer_late(peer, late_s, part, seed=1):
 
 
 def age_ns(feedback):
-    """How much older its position is than its stamp."""
+    """Return how much older the feedback's position is than its stamp."""
     behind = (feedback.stamp_ns // TICK_NS - feedback.count) & 0xFFFFFFFF
     return (behind - (1 << 32) if behind >> 31 else behind) * TICK_NS
 

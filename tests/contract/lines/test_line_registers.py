@@ -44,7 +44,7 @@ async def test_a_register_that_motord_writes_is_not_written_by_name(rig, peer, v
 
 
 def geared(register_max=500.0):
-    """The hub servo with one register more that a person may write."""
+    """Return the hub servo with one more register, which a person may write."""
     left, right = hub_servo()
     gain = Register(
         name="gain", address=0x20A3, type=RegisterType.I16, scale=0.5, unit="", access="rw",
@@ -91,7 +91,7 @@ async def test_registers_that_the_set_up_writes_are_read_back(peer):
         await rig.ready()
 
 
-# ------------------------------------------------------------------------- one exchange for both
+# ----------------------------------------------------------- writing and reading in one exchange
 async def test_a_drive_with_function_23_is_written_and_read_in_one_exchange(peer):
     profile = replace(hub_servo()[0].profile, read_write_function=23)
     joints = tuple(replace(joint, profile=profile) for joint in hub_servo())

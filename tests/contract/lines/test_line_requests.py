@@ -40,7 +40,7 @@ def two_drives():
 
 @contextlib.asynccontextmanager
 async def thread_on(peer):
-    """The line's thread in C, by itself, on the peer's pty; its drives are not set up."""
+    """Run the line's thread in C alone, on the peer's pty; its drives are not set up."""
     spec = spec_of(peer, two_drives())
     thread, notifier, port = LineThread(0, Exchange.private()), Notifier(), open_port(spec)
     notifier.open()
@@ -138,7 +138,7 @@ async def test_continuous_reads_do_not_keep_the_drives_from_being_disarmed(peer)
 
 @pytest.mark.parametrize("peer", ["rt"], indirect=True)
 async def test_a_request_that_an_urgent_one_overtakes_is_checked_again_before_it_is_sent(peer):
-    """Power that waits for its turn is not switched on after the power-off that overtook it."""
+    """A power-on that waits for its turn is not sent after the power-off that overtook it."""
     async with thread_on(peer) as (thread, notifier):
         queue, allowed = RequestQueue("rs485", thread, 1.0), True
 
@@ -162,7 +162,7 @@ async def test_a_request_that_an_urgent_one_overtakes_is_checked_again_before_it
             reading = tasks.create_task(queue.send(0, read_request(1), 0.02))
             await until(lambda: len(peer.received) == 1)
             enabling = tasks.create_task(enable())
-            await asyncio.sleep(0)  # it waits for its turn
+            await asyncio.sleep(0)  # the power-on waits for its turn
             allowed = False
             await queue.send(0, power_off_request(1), 0.02, urgent=True)
             await reading

@@ -31,7 +31,7 @@ from motord_hal.fieldbus.ports import DriveState, JointSpec
 from motord_hal.realtime.drive_state import DriveRules
 
 CYCLES_SEEN = 5
-"""More than what may have been sent when the line was to end."""
+"""More set-points than can still have been in transit when the line had to end."""
 
 
 @pytest.fixture(params=BUSES)
@@ -71,7 +71,7 @@ async def test_a_line_that_ends_while_a_modbus_drive_is_stopping_lets_it_come_to
 
 @pytest.mark.parametrize("peer", ["asyncio", *GATEWAYS], indirect=True)
 async def test_a_modbus_drive_that_is_still_stopping_is_not_armed(peer, monkeypatch):
-    ends = DriveRules.end_stopping  # by its wheels alone: the time of the stop never passes
+    ends = DriveRules.end_stopping  # a stop ends by rest alone: its time never passes
     monkeypatch.setattr(
         DriveRules, "end_stopping", lambda one, _, at_rest: ends(one, 0, at_rest=at_rest)
     )
@@ -116,7 +116,7 @@ async def test_the_brake_of_a_quick_stop_holds_until_the_wheel_rests(
 
 
 def wrote(peer, since, address):
-    """How often a register was written since then."""
+    """Return how often a register was written since then."""
     return sum(
         received.request.address == address and bool(received.request.values)
         for received in peer.received[since:]
@@ -140,7 +140,7 @@ async def test_a_line_that_ends_while_a_can_drive_is_stopping_lets_it_come_to_re
 
 
 SLOW_RAD_S = 0.02
-"""Slower is at rest. These wheels creep faster than this, and slower than any usual limit."""
+"""Limit of rest. The wheels here creep faster than this, but slower than any usual limit."""
 
 
 async def test_a_modbus_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file_demands(peer):
@@ -175,5 +175,5 @@ async def test_a_can_drive_keeps_its_power_until_it_is_as_slow_as_the_robot_file
 
 
 def sent_velocities(axis, since):
-    """How often it was sent a velocity since then."""
+    """Return how often the axis was sent a velocity since then."""
     return [command for command, _ in axis.received[since:]].count(INPUT_VELOCITY)

@@ -44,7 +44,7 @@ def client_on(tmp_path):
 
 
 async def test_a_parity_that_the_driver_refuses_later_is_a_port_error(tmp_path, ends):
-    """A pty has none: the port opens, and fails when it is configured once more."""
+    """A pty has no parity: the port opens, and fails when it is configured once more."""
     descriptors = len(os.listdir("/proc/self/fd"))
     client = GuardedClient(str(tmp_path / "port"), 19200, "even", 1, None)
     with pytest.raises(PortError, match="port"):
@@ -64,7 +64,7 @@ async def test_an_adapter_that_disappears_while_it_is_opened_is_a_port_error(
 
 
 def fill(slave):
-    """Fills it until it takes no more bytes, even after the kernel has passed some on."""
+    """Fill the port until it takes no more bytes, even after the kernel has passed some on."""
     room = True
     while room:
         for size in (4096, 1):  # a pty may have room for a byte and not report it
@@ -83,7 +83,7 @@ def all_of(master):
             return came
 
 
-@pytest.mark.timeout(30)  # what fails here may be an event loop that turns for ever
+@pytest.mark.timeout(30)  # a failure here may be an event loop that never ends
 @pytest.mark.parametrize("by", ["its deadline", "a cancellation"])
 async def test_a_full_port_blocks_nothing_and_sends_nothing_old_later(by, tmp_path, ends):
     master, slave = ends
@@ -100,9 +100,9 @@ async def test_a_full_port_blocks_nothing_and_sends_nothing_old_later(by, tmp_pa
         with pytest.raises(PortError, match="takes no bytes"):
             await client.exchange(WRITE, SHORT_S)
     assert not client.connected
-    all_of(master)  # it has room again
+    all_of(master)  # the port has room again
     for _ in range(5):
-        await asyncio.sleep(0)  # what waits for that is notified
+        await asyncio.sleep(0)  # a writer that waits for room is notified
     await client.open()
     with pytest.raises(NoReply):
         await client.exchange(READ, SHORT_S)
@@ -139,7 +139,7 @@ async def test_an_unplugged_port_is_not_logged_as_a_bug(tmp_path, caplog):
     await client.open()
     port = client._port
     peer.pull()
-    assert port.write(b"\x01") == 1  # before the reader has found it out
+    assert port.write(b"\x01") == 1  # the reader has not noticed it yet
     assert not client.connected
     with pytest.raises(PortError):
         await client.exchange(READ, SHORT_S)

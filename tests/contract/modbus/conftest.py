@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line of both engines and over all media, its drives scripted slaves."""
+"""Lines of both engines over all media, with scripted slaves as their drives."""
 
 import pytest
 from loop_side import running

@@ -14,7 +14,7 @@ from motord_hal.sim.runner import run
 
 @contextlib.contextmanager
 def served(folder, *, raw, faults=()):
-    """Control socket and address of a simulated line over TCP."""
+    """Simulate a line over TCP; yield a client of its control socket, and its address."""
     profile = find_profile("zlac8015d")
     ports = {"bus": PortSpec(raw=raw)}
     stopped = threading.Event()

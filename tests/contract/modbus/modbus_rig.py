@@ -52,13 +52,13 @@ def spec_of(peer, joints, **changes):
 
 
 def single_writes(peer, mark):
-    """Address and value of each single register that was written since then, in order."""
+    """Return address and value of each single-register write after `mark`, in order."""
     after = [received.request for received in peer.received[mark:]]
     return [(one.address, one.values[0]) for one in after if len(one.values) == 1]
 
 
 def mute(peer):
-    """From now on the drive receives and follows requests, and no answer arrives."""
+    """From now on drop each reply; the drive still receives and follows requests."""
 
     def swallow(request, honest):
         peer.tricks.append(swallow)

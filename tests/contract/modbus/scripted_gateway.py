@@ -19,14 +19,14 @@ GATEWAYS = ["modbus-tcp", "rtu-over-tcp"]
 
 
 def peer_on(medium: str, folder: Path) -> ScriptedSlave:
-    """A slave on a pty for the engine of this name, or behind a gateway of this kind."""
+    """Return a slave behind a gateway if `medium` is a kind of gateway, else on a pty."""
     if medium in GATEWAYS:
         return ScriptedGateway(medium)
     return ScriptedSlave(folder / "port", engine=medium)
 
 
 class ScriptedGateway(ScriptedSlave):
-    """`path` is HOST:PORT; it stays the same when the plug is pulled and put in again."""
+    """A slave whose `path` is HOST:PORT; that stays the same after it is pulled and plugged in."""
 
     def __init__(self, kind: str) -> None:
         self._listener: socket.socket | None = None
@@ -34,7 +34,7 @@ class ScriptedGateway(ScriptedSlave):
         self._port = 0
         self.connections = 0
         self.transaction = 0
-        """Of the newest request; replies carry it."""
+        """Transaction number of the newest request; replies carry it."""
         super().__init__(Path())
         self.kind = kind
 
@@ -56,7 +56,7 @@ class ScriptedGateway(ScriptedSlave):
         self._buffer = b""
 
     def send(self, data: bytes) -> None:
-        """An RTU frame in the form of its medium."""
+        """Send an RTU frame in the form of the medium."""
         self.answered_at_s.append(time.monotonic())
         if self.kind == "modbus-tcp" and data:
             body = data[:-2]
@@ -94,7 +94,7 @@ class ScriptedGateway(ScriptedSlave):
             self._serve(parse_request(frame))
 
     def _frame(self) -> bytes | None:
-        """The next whole request, as RTU."""
+        """Take the next complete request as an RTU frame; None if there is no complete one."""
         if self.kind == "rtu-over-tcp":
             size = request_bytes(self._buffer)
             if size is None or len(self._buffer) < size:

@@ -61,7 +61,7 @@ async def test_a_cancellation_that_meets_the_opening_is_not_lost_and_closes_it(m
             return GatewayClient(line_spec_of(peer, hub_servo()))
         return GuardedClient(str(peer.path), 115200, "none", 1, None)
 
-    for turns in range(8):  # of the event loop, into the opening
+    for turns in range(8):  # turns of the event loop before the cancellation
         client = new_client()
         opening = asyncio.ensure_future(client.open())
         for _ in range(turns):
@@ -72,6 +72,6 @@ async def test_a_cancellation_that_meets_the_opening_is_not_lost_and_closes_it(m
         assert client.connected is not obeyed
         client.close()
     again = new_client()
-    await again.open()  # nothing of the others holds the port
+    await again.open()  # no earlier client holds the port
     again.close()
     peer.pull()

@@ -49,7 +49,7 @@ async def test_an_honest_reply_is_accepted(client):
 
 @pytest.mark.parametrize("cut", [0, 3, 9])
 async def test_a_late_reply_is_not_given_to_the_next_request(client, peer, cut):
-    """Also when its one half comes before the next request, and the other half after it."""
+    """The late reply may come in two pieces, one before and one after the next request."""
     peer.tricks.append(lambda request, honest: peer.send_raw(adu(peer.transaction, 1)[:cut]) or [])
     with pytest.raises(NoReply):
         await client.exchange(VOLTAGE, WITHIN_S)

@@ -16,7 +16,7 @@ KINDS = {"modbus-tcp": False, "rtu-over-tcp": True}
 
 @pytest.fixture(params=KINDS)
 def robot(request, tmp_path):
-    """The simulator's control and the line that drives it."""
+    """A client of the simulator's control socket, and the line that drives the simulated robot."""
     with served(tmp_path, raw=KINDS[request.param]) as (control, (host, port)):
         spec = line_of(find_profile("zlac8015d"), f"{host}:{port}", cycle_hz=500.0)
         yield control, dataclasses.replace(spec, kind=request.param)

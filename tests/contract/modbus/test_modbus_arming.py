@@ -42,14 +42,14 @@ async def test_a_cancelled_arming_leaves_nothing_armed(rig, peer):
 
 
 async def held_up(rig):
-    """The loop puts no set-points, and the last ones are old."""
+    """Stop the loop's set-points, and wait until the newest ones are old."""
     await rig.ready()
     rig.loop.running = False
     await until(lambda: now_ns() - rig.loop.put_ns > PATIENT_S * 1e9)
 
 
 async def arming_while_held_up(rig):
-    """A task that has begun to arm, and waits."""
+    """Return a task that has begun to arm, and waits for fresh set-points."""
     await held_up(rig)
     arming = asyncio.ensure_future(rig.line.arm())
     await asyncio.sleep(0)

@@ -173,7 +173,7 @@ async def test_a_stop_that_was_not_answered_is_sent_again(rig, peer):
 
 async def test_cancelling_the_line_stops_and_disarms_every_drive(peer):
     spec = spec_of(peer, (*hub_servo(1), *hub_servo(2, first=2)))
-    # in haste: the end has half a second, and waits a reply time-out for what was cut off
+    # in haste: the end has 0.5 s, and the interrupted exchange costs a reply time-out of it
     async with running(spec, in_haste=True) as rig:
         await rig.arm()
         rig.loop.enabled, rig.loop.velocity_rad_s = True, {0: 60 * RPM, 2: 60 * RPM}
@@ -237,7 +237,7 @@ async def test_a_drive_that_answers_again_is_switched_off_before_it_is_set_up(ri
     mark = len(peer.received)
     peer.units[1].silent = False
     await rig.ready()
-    # its probe may stop it before that
+    # the probe of an unresponsive drive may send a stop before that
     written = [one for one in single_writes(peer, mark) if one != (CONTROL, QUICK_STOP)]
     assert written[0] == (CONTROL, OFF)
 
@@ -307,7 +307,7 @@ async def test_an_armed_drive_that_lost_its_set_up_loses_its_power_before_it_is_
     mark = len(peer.received)
     peer.units[1].registers[WATCHDOG] = 0
     await until(lambda: rig.kinds()[2:] == [EventKind.DRIVE_WARNING, EventKind.DRIVE_READY])
-    # the cycle writes both wheels at once
+    # the cycle writes both wheels in one request, which `single_writes` leaves out
     assert single_writes(peer, mark)[0] == (CONTROL, OFF)
 
 

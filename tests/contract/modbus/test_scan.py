@@ -24,7 +24,7 @@ def scan(*arguments, within_s=100):
 
 @pytest.fixture
 def line(tmp_path):
-    """Two single drives, units 1 and 2."""
+    """A simulated line with two single drives, units 1 and 2."""
     with start_simulator(
         ROOT / "config/robots/two-single-drives.toml", link_dir=tmp_path
     ) as simulator:

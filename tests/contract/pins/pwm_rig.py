@@ -19,7 +19,7 @@ PERIOD_NS = 50_000
 
 
 class Chip:
-    """Files like those of exported channels; they keep the tail of a longer number."""
+    """Files like those of exported channels; a shorter number leaves the tail of a longer one."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -55,7 +55,7 @@ def spec_of(chip, drive="bts7960", **changes):
 
 
 async def armed(rig):
-    """Armed; a busy machine may hold the set-points up for longer than they live."""
+    """Arm the line; repeat it where a busy machine let the set-points get too old."""
     async with asyncio.timeout(GENEROUS_S):
         while rig.states() != {DriveState.ARMED}:
             await rig.ready()

@@ -20,8 +20,8 @@ from motord_hal.realtime.exchange import Exchange
 
 
 class Chip:
-    """Registers that fall back to their defaults at a reset, a sensor that sleeps until it is
-    woken, and numbers with noise in their last bit. `motion`: counts of gyro and acceleration."""
+    """A sensor: a reset restores its registers' defaults, it sleeps until it is woken, and its
+    numbers have noise in their last bit. `gyro` and `acceleration` are counts."""
 
     def __init__(self, identity):
         self.identity = identity
@@ -106,7 +106,7 @@ KINDS = [
     ("lsm6dso", Lsm, 0x6C, 1000.0 / 8.75, 1000.0 / 0.122),
     ("ism330dhcx", Lsm, 0x6B, 1000.0 / 8.75, 1000.0 / 0.122),
 ]
-"""Kind, chip, identity, counts a degree per second at 250, counts a g at 4."""
+"""Kind, model, identity, counts per °/s at full scale 250 °/s, counts per g at 4 g."""
 each_kind = pytest.mark.parametrize(("kind", "model", "identity", "per_dps", "per_g"), KINDS)
 
 
@@ -190,7 +190,7 @@ def test_a_missing_bus_is_reported_with_the_remedy(tmp_path):
 
 
 def test_a_row_that_the_adapter_has_cut_short_is_a_bad_reply(monkeypatch):
-    """An SMBus controller may end a transfer early and show it in the count alone."""
+    """An SMBus controller may end a transfer early; then only its count shows it."""
     adapter = SimpleNamespace(fd=-1)
     device = I2cDevice(adapter, 0x68, "i2c-1 at 0x68")
 
@@ -215,7 +215,7 @@ def spec(**changes):
 
 
 class Running:
-    """The reader in its thread, as the daemon has it."""
+    """The reader in a thread of its own, as in the daemon."""
 
     def __init__(self, device, **changes):
         self.exchange = Exchange.private()

@@ -40,7 +40,7 @@ def ina226(**words):
 
 
 def ina228(**words):
-    """ADC_CONFIG after power-on; the range may be another program's."""
+    """Return a chip with ADC_CONFIG as after power-on, and a range that another program has set."""
     return Bus(x00=0x0010, x01=0xFB68, x3E=0x5449, x3F=0x2281, **words)
 
 
@@ -144,7 +144,7 @@ def test_a_chip_that_lost_power_reports_nothing_until_it_is_set_up_again():
 def test_a_chip_that_keeps_no_configuration_is_refused():
     class Stubborn(Bus):
         def write_word(self, register, value):
-            """Acknowledges, and keeps what it had."""
+            """Acknowledge the write, and keep the old value."""
 
     with pytest.raises(BadReply, match="another chip"):
         Ina("ina219", Stubborn(x00=0x399F), 0.1)

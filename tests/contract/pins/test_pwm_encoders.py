@@ -19,7 +19,7 @@ PER_COUNT = math.tau / 1320
 
 
 class Counter:
-    """Files like those of /sys/bus/counter/devices/counterN; a count changes in one piece, and the
+    """Files like those of /sys/bus/counter/devices/counterN. A count is written in one piece; the
     tail of a longer one stays after the line's end."""
 
     def __init__(self, folder, name="104-quadrature", ceiling="65535", **files):
@@ -103,7 +103,7 @@ async def test_a_counter_without_a_number_ends_the_line_at_rest_with_the_joint_s
         await until(lambda: rig.line.state is LineState.READY, "it is opened again")
 
 
-# ------------------------------------------------------------------------------------- finding it
+# ---------------------------------------------------------------------------- finding the counter
 def tree(tmp_path, *names):
     root = tmp_path / "devices"
     root.mkdir()

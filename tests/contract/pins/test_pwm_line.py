@@ -37,7 +37,7 @@ COMM = Path("/proc/self/comm").read_text().strip()
 
 
 async def half_forward(rig, chip):
-    """Armed, and the left motor driven."""
+    """Arm the line, and drive the left motor forward with half duty."""
     await armed(rig)
     rig.loop.enabled, rig.loop.duty = True, {0: 0.5}
     await until(lambda: chip.duties()[0] == 25_000)
@@ -45,7 +45,7 @@ async def half_forward(rig, chip):
 
 REST = [0, 0, 0, PERIOD_NS]
 ON_AT_REST = [0, 0, 0, 1]
-"""A channel that is disabled is low on most chips: on the active-low pin that would be power."""
+"""`enable` at rest: a disabled channel is low on most chips, so the active-low one stays at 1."""
 
 
 async def test_bridges_are_set_up_at_rest_and_move_only_when_armed_and_enabled(chip):
@@ -150,8 +150,8 @@ async def test_cancelling_the_line_leaves_no_pulses(chip):
 
 
 def broken(chip, number):
-    """From now on the kernel refuses every duty of a channel that is open: no space on the device.
-    Returns a descriptor of the file, for the caller to close."""
+    """Make the kernel refuse every further duty of an open channel: no space left on the device.
+    Return a descriptor of the file, which the caller has to close."""
     path = (chip.folder / f"pwm{number}/duty_cycle").resolve()
     links = [Path("/proc/self/fd", name) for name in os.listdir("/proc/self/fd")]
     (fd,) = (int(link.name) for link in links if os.path.realpath(link) == str(path))
@@ -232,7 +232,7 @@ async def test_missing_pins_are_reported_once_and_found_later(tmp_path):
 
 
 def as_software(chip):
-    """The entry of a chip of the driver pwm-gpio in the kernel's tree."""
+    """Give the chip the entry that a chip of the driver pwm-gpio has in the kernel's tree."""
     driver = chip.folder.parent / "drivers/pwm-gpio"
     driver.mkdir(parents=True)
     (chip.folder / "device").mkdir()
@@ -334,7 +334,7 @@ async def test_a_line_whose_channel_is_taken_reports_it_and_waits(chip):
 async def test_pulses_that_reach_no_pin_are_reported_when_the_line_opens(
     chip, tmp_path, monkeypatch
 ):
-    """As root sees it on a Pi 5 that has no overlay."""
+    """The files are as root sees them on a Pi 5 that has no overlay."""
     (tmp_path / "1f00098000.pwm").mkdir()
     (chip.folder / "device").symlink_to(tmp_path / "1f00098000.pwm")
     (tmp_path / "compatible").write_text("raspberrypi,5-model-b\0brcm,bcm2712\0")

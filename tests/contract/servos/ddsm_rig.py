@@ -27,7 +27,7 @@ def register(name, command, byte, access, kind="i16", unit="", **more):
 
 
 def hub_motor():
-    """In 16-bit places: the mode's byte is the second one of its place."""
+    """Return the motor's profile with 16-bit registers; the mode is its register's second byte."""
     registers = [
         register("speed_wanted", SET, 2, "w", unit="rpm", minimum=-330.0, maximum=330.0),
         register("current", SET, 2, "r", unit="a", scale=8 / 32767),

@@ -11,7 +11,7 @@ OK = 0
 
 
 def patiently(call):
-    """The SDKs wait for a reply no longer than some milliseconds, a busy machine may: once more."""
+    """Repeat an SDK's call until it succeeds: an SDK waits only some milliseconds for a reply."""
     end_s = time.monotonic() + GENEROUS_S
     while True:
         result = call()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bus servos on a pty whose packets are made by their makers' SDKs, so that motord's line does not
-meet only what motord itself has written.
+"""Bus servos on a pty whose packets are made by their makers' SDKs, so that motord's line is tested
+against code that is not motord's.
 
 The SDK builds every received request once more from its content, and the bytes are compared; every
-status is sent through the SDK's own packet code."""
+status is packed by the SDK's own packet code."""
 
 from __future__ import annotations
 
@@ -54,19 +54,19 @@ class FeetechSdk:
         self.handler = scservo_sdk.sms_sts(self.port)
 
     def end_of(self, data):
-        """Of the first packet; 0: it is not whole."""
+        """Return the length of the first packet, 0 while it is incomplete."""
         return 4 + data[3] if len(data) > 3 and len(data) >= 4 + data[3] else 0
 
     def parts(self, packet):
         return packet[2], packet[4], packet[5:-1]
 
     def status(self, unit, data):
-        """As the SDK packs it."""
+        """Return a status packet as the SDK packs it."""
         self.handler.txPacket([0, 0, unit, len(data) + 2, 0, *data, 0])
         return self.port.take()
 
     def rebuilt(self, unit, code, parameters):
-        """What the SDK sends for the same."""
+        """Return the packet that the SDK sends for the same request."""
         handler, first = self.handler, parameters[0] if parameters else 0
         match code:
             case 1:
@@ -84,7 +84,7 @@ class FeetechSdk:
 
 
 class ScsSdk(FeetechSdk):
-    """The packet code of its class for the SCS series."""
+    """The packet code of ftservo-python-sdk's class for the SCS series."""
 
     goal, present = (42, 2), (56, 2)
 
@@ -118,8 +118,8 @@ class DynamixelSdk:
         return self.port.take()
 
     def status_of_all(self, asked, answers):
-        """One packet with the unit and the data of each that answers; its check sums are the
-        SDK's."""
+        """Return one status packet with unit and data of each answer, for `asked` requested units.
+        The SDK computes its check sums."""
         length = 1 + asked * (len(answers[0][1]) + 4) if answers else 0
         packet = [0xFF, 0xFF, 0xFD, 0, ALL, length & 0xFF, length >> 8, STATUS] if answers else []
         for unit, data in answers:
@@ -149,17 +149,17 @@ class DynamixelSdk:
 
 
 class SdkServos:
-    """Servos of one maker on `path`, from the running event loop. Their wheels turn at once as they
-    are commanded."""
+    """Servos of one maker on `path`, served by the running event loop. A wheel has its commanded
+    speed at once."""
 
     def __init__(self, path: Path, sdk, units):
         self.sdk = sdk
         self.tables = {unit: bytearray(TABLE_BYTES) for unit in units}
         self.codes: list[int] = []
         self.silent: set[int] = set()
-        """Units that receive, and do not answer."""
+        """Units that receive requests and follow them, but do not answer."""
         self.foreign: list[bytes] = []
-        """Requests that differ from the SDK's."""
+        """Received requests whose bytes differ from those of the SDK."""
         self.powered_in_other_modes = 0
         self._data = b""
         self._master, self._slave = os.openpty()
@@ -220,7 +220,7 @@ class SdkServos:
         self.powered_in_other_modes += bool(table[sdk.torque] and table[sdk.mode] != 1)
 
     def _answer_together(self, units, first, count):
-        """Until one is missing: those after it wait for ever."""
+        """Answer for the units before the first silent one: those after it would wait for it."""
         there = list(itertools.takewhile(lambda unit: unit not in self.silent, units))
         answers = [(unit, self.tables[unit][first : first + count]) for unit in there]
         os.write(self._master, self.sdk.status_of_all(len(units), answers))

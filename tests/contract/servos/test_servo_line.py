@@ -15,7 +15,7 @@ SERVOS = ["sts3215", "xl430"]
 
 
 def servo_line(name, folder):
-    """Its line, as fast as a machine with others at work can be."""
+    """Return the line of a servo, without real-time priority."""
     return dataclasses.replace(spec_of(find_profile(name), folder), priority=0)
 
 

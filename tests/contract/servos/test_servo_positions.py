@@ -30,7 +30,7 @@ def line_of(name, folder, speed_rad_s=FAST_RAD_S):
 
 
 def counts(rig):
-    """Within their turn: of a counter its lowest bits count."""
+    """Return each joint's count within its turn: the lowest 12 bits of a counter."""
     return [rig.loop.exchange.take_feedback(n).count % 4096 for n in (0, 1)]
 
 
@@ -91,7 +91,7 @@ async def test_a_servo_whose_first_target_is_far_from_its_position_loses_its_pow
     with simulated(find_profile(name), tmp_path) as control:
         async with running(line_of(name, tmp_path, LIMITED_RAD_S)) as rig:
             await rig.arm()
-            rig.loop.position_rad = {0: 1.5, 1: 0.0}  # as a wrong zero of a counter would make it
+            rig.loop.position_rad = {0: 1.5, 1: 0.0}  # as far off as with a wrong zero_count
             rig.loop.enabled = True
             await until(lambda: rig.line.drive_states["left"] is DriveState.READY, "no power")
             await until(lambda: any("check zero_count" in one.text for one in rig.events))
@@ -168,8 +168,8 @@ async def test_no_servo_is_powered_before_its_goal_is_its_own_position(
 
 
 class PlacedServos(SdkServos):
-    """SdkServos in position mode, each with a goal far from where it is; they go there at once when
-    they have torque."""
+    """SdkServos in position mode, each with an old goal far from its position. A servo with torque
+    is at its goal at once."""
 
     HERE = 1500
 

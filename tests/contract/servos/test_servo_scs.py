@@ -21,13 +21,13 @@ from motord_hal.fieldbus.ports import DriveState
 
 PROFILE = find_profile("scs0009-position")
 MIDDLE, AWAY = 614, 200
-"""Where a simulated servo begins, half a turn of 1229 counts; a move of the SDK."""
+"""Counts: first position of a simulated servo, half a turn of 1229; length of the SDK's move."""
 COUNTS_PER_RAD = 1229 * GEAR / math.tau
 NEAR_COUNTS = 4
 
 
 class ScsServos(SdkServos):
-    """With torque they are at once where they are sent."""
+    """Servos that are at their goal at once while they have torque."""
 
     def _write(self, unit, first, data):
         table = self.tables[unit]

@@ -19,11 +19,11 @@ PROFILE = find_profile("scs0009")
 UNITS = (1, 2)
 LIMITS, TORQUE, DUTY, LOCK = slice(9, 13), 40, 44, 48
 AS_DELIVERED = bytes((0, 20, 3, 235))
-"""Both angle limits, 20 and 1003: a servo that goes to positions."""
+"""Both angle limits of a new servo, 20 and 1003: it goes to positions."""
 
 
 class MotorServos(SdkServos):
-    """As delivered; what they were sent, in its order. `duties`: as (unit, torque, raw)."""
+    """New servos that record what they are sent, in order. `duties`: (unit, torque, raw)."""
 
     def __init__(self, path, limits=AS_DELIVERED):
         super().__init__(path, ScsSdk(), UNITS)
@@ -48,7 +48,7 @@ class MotorServos(SdkServos):
 
 
 def sdk_duty(raw):
-    """As the SDK's WritePWM puts it on the wire."""
+    """Return a duty in the bytes that the SDK's WritePWM sends."""
     handler = scservo_sdk.scscl(CapturedPort())
     word = handler.scs_toscs(raw, 10)
     return bytes((handler.scs_lobyte(word), handler.scs_hibyte(word)))

@@ -24,9 +24,9 @@ from motord.config.drives.load import find_profile
 from motord_hal.fieldbus.ports import DriveState
 
 STEPS = 1000
-"""Goal velocity of a Feetech servo, 4096 a turn and second."""
+"""Goal velocity of a Feetech servo in steps per second; a turn has 4096 steps."""
 UNITS = 100
-"""Of a Dynamixel, 0.229 rpm each."""
+"""Goal velocity of a Dynamixel in units of 0.229 rpm."""
 
 
 def truth_rad_s(control):
@@ -100,7 +100,7 @@ def test_robotis_sdk_drives_simulated_servos(fast, tmp_path):
         assert left == pytest.approx(UNITS * 0.229 / 60 * math.tau / 2, rel=0.1)
         assert right == pytest.approx(left, rel=0.1)
         locked = patiently(lambda: handler.write1ByteTxRx(port, 1, 11, 3))
-        assert handler.getRxPacketError(locked[-1]) != ""  # its EEPROM, while it has torque
+        assert handler.getRxPacketError(locked[-1]) != ""  # torque locks its EEPROM
         too_fast = patiently(lambda: handler.write4ByteTxRx(port, 1, 104, 1000))
         assert too_fast[-1] == 4
         for unit in (1, 2):
@@ -147,7 +147,7 @@ async def test_a_servo_whose_watchdog_tripped_is_disarmed_and_set_up_again(tmp_p
             assert servos.tables[1][98] == given
             assert servos.tables[1][servos.sdk.torque] == 0
             assert any("lost its set-up" in event.text for event in rig.events)
-            await rig.arm()  # by request, and only so
+            await rig.arm()  # it is armed by request alone
     finally:
         servos.close()
 

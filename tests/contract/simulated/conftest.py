@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line and its simulated drives. Each file has its own `variant`, the name of a profile and of an
-engine, and the `profile` that it makes of it."""
+"""A line and its simulated drives. Each file defines `variant`, the name of a profile and its
+engine, and `profile`, the profile of that variant."""
 
 import pytest
 from loop_side import running

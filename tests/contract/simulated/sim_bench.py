@@ -18,13 +18,13 @@ from motord_hal.sim.rig import Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import run
 
 ARRIVAL_DEADLINE_S = 60.0
-"""For bytes to pass the kernel's side of a pty: at once, or the test fails."""
+"""Deadline for bytes to pass through the kernel's pty; normally they pass at once."""
 CHARACTER_S = 10 / 115200
 CYCLE_HZ = 100.0
-"""Of a line to simulated drives: line, drives and test share an interpreter, and a busy machine
-leaves it a tenth of a CPU."""
+"""Cycle rate of a line to simulated drives: line, drives and test share an interpreter, and on a
+busy machine that gets a tenth of a CPU."""
 WATCHDOG_S = 2.0
-"""Of simulated drives: several replies that a busy machine delays do not trip it."""
+"""Watchdog time of simulated drives: some replies that a busy machine delays do not trip it."""
 KINDS = {
     "modbus-rtu": "modbus-rtu",
     "ddsm": "ddsm",
@@ -48,18 +48,18 @@ def can_reverse(profile):
 
 
 def unit_of(profile):
-    """Of the first drive: 1, but for those whose addresses begin elsewhere."""
+    """Return the address of the first drive: 1, except where addresses begin elsewhere."""
     return profile.unit if profile.protocol == "sabertooth" else 1
 
 
 def reports(profile):
-    """Whether the drive sends anything."""
+    """Return whether the drive sends feedback: whether any of its registers can be read."""
     return any("r" in register.access for register in profile.registers.values())
 
 
 def joints_of(profile, gear_ratio=1.0):
-    """A left and a right joint: on one drive where it has two channels, else on two units. The
-    right motor is mounted in reverse where it can be."""
+    """Return a left and a right joint: on one drive if it has two channels, else on two units. The
+    right motor is mounted in reverse if the drive can reverse."""
     paired, first = len(profile.channels) > 1, unit_of(profile)
     return tuple(
         JointSpec(
@@ -76,14 +76,14 @@ def joints_of(profile, gear_ratio=1.0):
 
 
 RT = " rt"
-"""At the end of a drive's name: on the rt engine, of CAN on the bus that this can be on."""
+"""Suffix of a drive's name in a variant on the rt engine (CAN: on the bus at a Unix socket)."""
 BOTH_ENGINES = ("can",)
-"""Protocols that are tested on the asyncio engine, and on rt where the name ends so."""
+"""Protocols that are tested on both engines: on rt where the variant's name ends with RT."""
 ON_RT = tuple(protocol for protocol in KINDS if protocol not in ("modbus-rtu", "can"))
 
 
 def with_rt(names):
-    """And on the rt engine those among them that run on both."""
+    """Return the names, and the rt variant of each whose protocol runs on both engines."""
     return [
         *names,
         *(name + RT for name in names if shipped_profile(name).protocol in BOTH_ENGINES),
@@ -91,7 +91,7 @@ def with_rt(names):
 
 
 def folder_of(variant, tmp_path):
-    """Where what `variant` names, as of `with_rt`, is simulated."""
+    """Make and return the folder in which a variant of `with_rt` is simulated."""
     folder = tmp_path / ("rt" if variant.endswith(RT) else "asyncio")
     folder.mkdir()
     return folder
@@ -99,7 +99,7 @@ def folder_of(variant, tmp_path):
 
 @functools.cache
 def can_address(folder):
-    """A bus of its own for each folder."""
+    """Return the address of the CAN bus of this folder; each folder has its own bus."""
     return f"unix:{folder}/bus" if folder.name == "rt" else free_address()
 
 
@@ -135,7 +135,7 @@ def line_of(profile, port="", engine="asyncio", cycle_hz=50.0, watchdog_s=0.5, g
 
 
 LIGHT = WheelModel(inertia_kg_m2=0.03)
-"""A wheel that friction brings to rest in 0.6 s: for tests in real time."""
+"""Wheel that friction brings to rest in 0.6 s, for tests in real time."""
 
 
 def rig_of(profile, folder, *, gear_ratio=1.0, model=None, **options):
@@ -150,7 +150,7 @@ def rig_of(profile, folder, *, gear_ratio=1.0, model=None, **options):
 
 @contextlib.contextmanager
 def simulated(profile, folder, **options):
-    """The robot in real time, in a thread of its own; it is reached over its control socket."""
+    """Simulate the robot in real time, in its own thread; yield a client of its control socket."""
     options = {"watchdog_s": 0.0 if profile.watchdog else WATCHDOG_S, "model": LIGHT, **options}
     stopped = threading.Event()
     with rig_of(profile, folder, gear_ratio=GEAR, **options) as rig:
@@ -166,7 +166,7 @@ def simulated(profile, folder, **options):
 
 @contextlib.contextmanager
 def without_power(control, *units):
-    """These drives, until the end of the block; then they start as after power-up."""
+    """Take the power of these drives until the end of the block; then they start anew."""
     for unit in units:
         control.inject(f"reboot:unit={unit},for_s=1000")
     yield
@@ -175,14 +175,14 @@ def without_power(control, *units):
 
 
 def spec_of(profile, folder):
-    """The line that drives what `simulated` simulates."""
+    """Return the line that drives what `simulated` simulates."""
     port = can_address(folder) if profile.can is not None else folder / "bus"
     engine = engine_of(profile, folder)
     return line_of(profile, port, engine, cycle_hz=CYCLE_HZ, watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
 
 
 class Bench:
-    """The rig's time advances only in calls."""
+    """A simulated rig whose time advances only in calls, and a master on its pty."""
 
     def __init__(self, folder, profile="zlac8015d", **options):
         self.profile = shipped_profile(profile) if isinstance(profile, str) else profile
@@ -201,7 +201,7 @@ class Bench:
 
     def open(self):
         self.fd = os.open(self.link, os.O_RDWR | os.O_NOCTTY)
-        self.go_on(0.01)  # the rig looks again whether a program is there
+        self.go_on(0.01)  # the rig notices that the port is open
 
     def hang_up(self):
         with contextlib.suppress(OSError):
@@ -227,13 +227,13 @@ class Bench:
             self.rig.work(self.now_s)
 
     def send(self, frame):
-        """Bytes on the wire; the rig has them when this returns."""
+        """Write bytes to the wire; the rig has received them when this returns."""
         os.write(self.fd, frame)
         assert select.select(self.line.port.filenos(self.now_s), [], [], ARRIVAL_DEADLINE_S)[0]
         self.rig.work(self.now_s)
 
     def receive(self, size):
-        """Exactly this many of the bytes that the rig has sent."""
+        """Read exactly this many of the bytes that the rig has sent."""
         data = b""
         while len(data) < size:
             assert select.select([self.fd], [], [], ARRIVAL_DEADLINE_S)[0], data.hex(" ")
@@ -241,7 +241,7 @@ class Bench:
         return data
 
     def exchange(self, frame, seconds=0.06):
-        """What comes back within this time."""
+        """Send a frame and return the bytes that the rig sends within this time."""
         before = self.line.wire.bytes_sent
         self.send(frame)
         self.go_on(seconds)
@@ -251,7 +251,7 @@ class Bench:
         return parse_reply(request, self.exchange(build_request(request)))
 
     def read(self, name, unit=1):
-        """A register's SI value, as a client sees it."""
+        """Read a register over the wire and return its SI value."""
         register = self.profile.registers[name]
         count = register.type.words
         request = Request(unit, Function.READ_HOLDING, register.address, count)
@@ -260,7 +260,7 @@ class Bench:
         return register.to_si(register.decode(reply.values))
 
     def write(self, name, raw, unit=1):
-        """The exception code; None where it was taken."""
+        """Write a register; return the exception code, or None if the write was accepted."""
         register = self.profile.registers[name]
         words = register.encode(raw)
         function = Function.WRITE_SINGLE if len(words) == 1 else Function.WRITE_MULTIPLE

@@ -313,7 +313,7 @@ def test_the_settings_that_it_prints_fit_the_robot_file(tmp_path):
 
 
 def may_be_fifo():
-    """Tried in a process of its own: this one stays as it is."""
+    """Return whether SCHED_FIFO is allowed. Another process tries it: this one stays as it is."""
     tried = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))"
     done = subprocess.run([sys.executable, "-c", tried], capture_output=True, check=False)
     return done.returncode == 0

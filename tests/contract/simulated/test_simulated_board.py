@@ -18,7 +18,7 @@ def frames_in(data):
         try:
             yield parse(piece)
         except FrameError:
-            continue  # the first may have begun before
+            continue  # the first frame may be incomplete
 
 
 def test_after_a_standstill_the_feedback_of_a_board_carries_its_time(tmp_path):
@@ -33,7 +33,7 @@ def test_after_a_standstill_the_feedback_of_a_board_carries_its_time(tmp_path):
         sent_before = bench.line.wire.bytes_sent
         before = list(frames_in(bench.receive(sent_before)))[-1]
         late_s = bench.now_s + 0.1
-        bench.rig.work_lines(lambda: late_s)  # nothing had run for so long
+        bench.rig.work_lines(lambda: late_s)  # after a standstill of 0.1 s
         bench.rig.work_lines(lambda: late_s + TICK_S)  # its last byte has left
         bench.now_s = late_s + TICK_S
         bench.go_on(5 * TICK_S)
@@ -43,7 +43,7 @@ def test_after_a_standstill_the_feedback_of_a_board_carries_its_time(tmp_path):
 
 
 def check_direction(profile, before, after):
-    """As far as it has come in the time that has passed."""
+    """Check that the wheel has turned as far as it must between these two frames."""
     passed_s = (after.time_us - before.time_us) * 1e-6
     position = profile.registers["position_1"]
     counts = pick(after.payload, position) - pick(before.payload, position)

@@ -11,7 +11,7 @@ from motord_hal.fieldbus.ports import DriveState, EventKind
 
 SPEED_RAD_S = 3.0
 LOSSY = ["odrive-0.6", "vesc", "rmd", "dbc-example", "moteus"]
-"""Those that tolerate lost frames in their set-up; an SDO transfer is not tried again at once."""
+"""Drives whose set-up tolerates lost frames; the others' SDO transfers are not retried at once."""
 DRIVES = [*LOSSY, "cia402-csv", "cia402-torque"]
 FEW = with_rt(["odrive-0.6", "cia402-csv"])
 
@@ -60,7 +60,7 @@ async def test_a_cut_cable_stops_the_drives_by_their_watchdogs_and_they_come_bac
     rig, sim
 ):
     await set_off(rig, sim)
-    sim.pull("bus")  # of datagrams nothing comes any more; a socket of its own ends
+    sim.pull("bus")  # a bus of datagrams falls silent; a Unix socket is closed
     lost = {DriveState.UNRESPONSIVE, DriveState.UNKNOWN}
     await until(lambda: rig.states() <= lost, "both are unresponsive")
     await until(lambda: not any(_enabled(sim)), "their watchdogs have tripped")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The contract suite: every drive profile, its simulator, and the line between them.
 
-Real time, a real pty, the shipped line; the simulator's truth has what the wheels really did.
+Real time, a real pty, the shipped line; the simulator's truth shows how the wheels really moved.
 """
 
 import contextlib
@@ -26,16 +26,16 @@ from tests.shipped import NAMES, shipped_profile
 from motord_hal.fieldbus.ports import DriveState, EventKind
 
 SPEED_RAD_S = 6.0
-"""Of the wheels, where the drive can do it."""
+"""Speed of the wheels, if the drive can reach it."""
 DUTY = 0.5
-# also for slow drives: half a minute of waiting proves nothing more
+# for slow drives, too: waiting half a minute would prove nothing more
 BAUDRATE = 115200
 TURNAROUND_S = 0.002
 
 
 def profiles_that(have_it):
-    """Of the drives that a line talks to and that take a speed, a duty or a torque: bridges on pins
-    are in test_simulated_pins.py, servos that take positions in test_servo_positions.py."""
+    """Return the drives for which `have_it` is true, of those that take a speed, duty or torque on
+    a line. Bridges: test_simulated_pins.py; servos with positions: test_servo_positions.py."""
     found = {name: shipped_profile(name) for name in NAMES}
     turning = {
         name: one
@@ -46,7 +46,7 @@ def profiles_that(have_it):
 
 
 def one_of_each_protocol(names):
-    """On each engine: for faults of the wire, which do not depend on the drive."""
+    """Return a drive for each protocol and engine: faults of a wire do not depend on the drive."""
     found = {}
     for name in names:
         protocol = shipped_profile(name.removesuffix(RT)).protocol
@@ -55,7 +55,7 @@ def one_of_each_protocol(names):
 
 
 def each_that(have_it):
-    """Of these, `make test` runs one of each protocol."""
+    """Return the drives for which it is true; `make test` runs only one of each protocol."""
     names = profiles_that(have_it)
     return long_but(one_of_each_protocol(names), names)
 
@@ -76,7 +76,7 @@ def profile(variant):
 
 
 def speed_of(rig):
-    """What the wheels of this line are sent: of a slow drive, less than it can do."""
+    """Return the speed that the wheels are sent; a slow drive gets less than it can reach."""
     profile = rig.line.spec.joints[0].profile
     setpoint = profile.channels[1].velocity_setpoint
     if setpoint is None:
@@ -93,7 +93,7 @@ async def rest(sim):
 
 
 async def set_off(rig, sim, sign=1.0):
-    """Armed, and both wheels at the wanted speed (of a duty drive: the speed-torque line's)."""
+    """Arm, and bring both wheels to speed (a duty drive: the one of its speed-torque line)."""
     await rig.arm()
     await turn(rig, sim, sign)
 
@@ -183,7 +183,7 @@ async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
     half = 1 << (profile.counter_bits - 1)
 
     def missed(joint):
-        """Counts that the feedback is off the truth."""
+        """Return by how many counts the feedback differs from the truth."""
         counts = (feedback(rig, joint).count - before[joint.name] + half) % (2 * half) - half
         per_turn = profile.counts_per_turn * GEAR * (-1 if joint.inverted else 1)
         turned_rad = sim.truth().joints[joint.name].position_rad
@@ -238,7 +238,7 @@ async def test_a_fault_is_reported_stops_its_wheel_and_is_cleared_disarmed(rig, 
 
 
 def watchdog_bites(sim):
-    """Of each drive."""
+    """Return how often the watchdog of each drive has tripped."""
     return [unit["watchdog_bites"] for unit in sim.stats()["lines"]["bus"]["units"].values()]
 
 
@@ -259,7 +259,7 @@ async def test_a_pulled_plug_trips_the_watchdog_and_the_line_comes_back_disarmed
     await until(lambda: rig.line.stats().cycles > cycles + 5, "five cycles have passed")
     assert sim.truth().at_rest
     assert rig.line.stats().reopened == 1
-    assert feedback(rig, left).epoch != epoch  # it may have been switched off meanwhile
+    assert feedback(rig, left).epoch != epoch  # the drive may have lost its power meanwhile
 
 
 @pytest.mark.parametrize("variant", each_that(reports), indirect=True)
@@ -285,7 +285,7 @@ async def test_every_silent_interval_is_kept(rig, sim):
     await until(lambda: rig.line.stats().cycles > cycles + 10, "ten cycles have passed")
     sent = sim.stats()["lines"]["bus"]
     assert sent["gap_violations"] == 0
-    # a simulator that a busy machine holds up until its answer is given up finds two requests
+    # a simulator that a busy machine delays beyond the reply time-out finds two requests
     assert sent["bad_crc"] <= rig.line.stats().errors.get("no_reply", 0)
 
 
@@ -328,5 +328,5 @@ async def test_a_bad_wire_never_falsifies_feedback(profile, folder):
 
 
 def patient(spec):
-    """No drive is given up for a few bad replies in a row."""
+    """Return the line with drives that tolerate several bad replies in a row."""
     return replace(spec, joints=tuple(replace(joint, tries=10) for joint in spec.joints))

@@ -150,7 +150,7 @@ def test_a_drive_of_another_parity_is_noise_to_the_line(tmp_path):
 
 # --------------------------------------------------------------------------------------- the drives
 SETTING, VALUE = "control_mode", 3
-"""Written when a zlac8015d is set up, and at no other time."""
+"""Register of a zlac8015d that only its set-up writes, and the value."""
 
 
 def test_a_drive_is_unresponsive_while_it_stores_a_setting(tmp_path):

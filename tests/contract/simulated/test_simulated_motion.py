@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the simulated drives do with the motors, read over the wire; the test advances the clock."""
+"""Motion of the simulated drives' motors, read over the wire; the test advances the clock."""
 
 import math
 
@@ -24,7 +24,7 @@ def arm(bench):
 
 
 def spin(bench, seconds=1.0):
-    """Both wheels forward at 60 rpm; the drive is polled often enough for its watchdog."""
+    """Turn both wheels forward at 60 rpm, with requests often enough for the drive's watchdog."""
     velocities = (60, 0x10000 - 60)
     until_s = bench.now_s + seconds
     while bench.now_s < until_s:

@@ -19,7 +19,7 @@ needs_mbpoll = pytest.mark.skipif(MBPOLL is None, reason="mbpoll is not installe
 
 
 def mbpoll(*arguments, values=()):
-    """Its status and the words it prints: holding registers, addresses from 0, one poll."""
+    """Poll holding registers once, addresses from 0; return exit status, words, and output."""
     command = [MBPOLL, "-a", "1", "-0", "-1", "-q", "-t", "4", *arguments, *map(str, values)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, check=False)
     words = [

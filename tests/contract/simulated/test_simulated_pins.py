@@ -33,8 +33,8 @@ BRIDGES = [name for name in ON_PINS if name not in SERVOS]
 
 
 class Bench:
-    """Two bridges of one kind, every pin on a channel of its own; pins that are set, as a program
-    would set them by the kernel."""
+    """Two bridges of one kind, every pin on a channel of its own, and methods that set the pins as
+    a program sets them through the kernel."""
 
     def __init__(self, folder, drive="bts7960", **left):
         self.profile = shipped_profile(drive)
@@ -80,7 +80,7 @@ class Bench:
         self.put(f"pwm{channel}/enable", enable)
 
     def mode(self, mode, duty=0.0):
-        """The levels that the profile has for a mode, at the left bridge's pins."""
+        """Set the left bridge's pins to the levels that the profile has for a mode."""
         for channel, levels in enumerate(self.profile.bridge.levels.values()):
             base, slope = levels[mode]
             self.set_level(base + slope * duty, channel)
@@ -103,7 +103,7 @@ def test_every_bridge_turns_its_motor_in_proportion_to_its_duty(tmp_path, drive,
     with Bench(tmp_path, drive) as bench:
         bench.mode(mode, 0.5)
         bench.go_on(2.0)
-        # a little less than half of full duty: friction
+        # friction makes the speed a little less than half of that at full duty
         assert 0.8 < bench.wheel.velocity_rad_s * sign / (FULL_RAD_S * 0.5) < 1.0
         assert bench.rig.plant.wheels["right"].velocity_rad_s == 0.0
         assert bench.enabled()
@@ -168,7 +168,7 @@ def test_enable_pins_that_are_left_out_are_wired_high(tmp_path):
         bench.set_level(0.0, 0)
         bench.set_level(0.0, 1)
         bench.go_on(0.01)
-        assert bench.enabled()  # both low brake, and only the enables would take the power
+        assert bench.enabled()  # both pins low brake; only enable pins would take the power
         bench.set_level(0.5, 1)
         bench.go_on(1.0)
         assert bench.wheel.velocity_rad_s < -0.3 * FULL_RAD_S
@@ -202,7 +202,7 @@ def test_a_file_that_is_being_written_keeps_its_previous_value(tmp_path):
             (bench.folder / "pwm0/duty_cycle").write_text(text)
             bench.go_on(0.2)
             assert bench.wheel.velocity_rad_s > 0.3 * FULL_RAD_S
-        (bench.folder / "pwm0/duty_cycle").write_text("0\n0000\n")  # the tail of a longer one
+        (bench.folder / "pwm0/duty_cycle").write_text("0\n0000\n")  # a longer one's tail
         bench.go_on(1.0)
         assert bench.wheel.velocity_rad_s == 0.0
 
@@ -288,7 +288,7 @@ def test_the_files_are_gone_when_it_ends(tmp_path):
     assert not bench.folder.exists()
 
 
-# ----------------------------------------------------------------------------------- held up
+# --------------------------------------------------------------- a simulator that is held up
 def test_its_clock_skips_the_time_in_which_the_simulator_was_held_up():
     now_s = 100.0
     clock = PausingClock(99.0, lambda: now_s)
@@ -349,7 +349,7 @@ async def test_the_line_reverses_a_simulated_bridge_by_its_direction_pins(tmp_pa
 
 @pytest.fixture(scope="module")
 def simulator(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("a b")  # what is printed has to be quoted
+    folder = tmp_path_factory.mktemp("a b")  # the printed path has to be quoted
     with start_simulator(ROBOT, link_dir=folder) as simulator:
         yield simulator
 

@@ -45,12 +45,12 @@ def receive(connection, size):
 
 
 def mbap(frame, transaction):
-    """An RTU frame as the gateway's clients send it."""
+    """Return an RTU frame in the form that the gateway's clients send."""
     return struct.pack(">HHH", transaction, 0, len(frame) - 2) + frame[:-2]
 
 
 def ask(connection, frame, transaction):
-    """The next ADU after a request: its transaction and its unit and PDU."""
+    """Send a request; return the transaction of the next ADU, and its unit and PDU."""
     connection.sendall(mbap(frame, transaction))
     return next_adu(connection)
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord calibrate` at a real terminal: the simulated robot differs from its file, and the person
-measures where it truly is to the millimetre and to half a degree."""
+"""`motord calibrate` at a real terminal: the simulated robot differs from its file, and a person
+measures its true pose to the millimetre and to half a degree."""
 
 import math
 import re
@@ -58,8 +58,8 @@ def test_the_wheel_radius_of_a_car_and_a_mecanum_base_is_found(tmp_path, name, r
 
 @pytest.mark.long
 def test_the_feed_forward_of_a_duty_is_found(tmp_path):
-    """The simulated motor stalls at 8 N·m, turns 0.07 kg·m², and rubs with 0.48 N·m: it begins to
-    turn at 6 %."""
+    """The simulated motor stalls at 8 N·m, has 0.07 kg·m² and a friction of 0.48 N·m: it begins to
+    turn at a duty of 6 %."""
     file = copied(tmp_path, FORWARD_ONLY, [("duty_dead_band = 0.06", "duty_dead_band = 0.02")])
     wheels = ("left.coulomb_n_m=0.48", "right.coulomb_n_m=0.48")
     with robot_of(tmp_path, file, wheels=wheels) as stage:
@@ -103,7 +103,7 @@ def test_the_scale_and_the_offset_of_a_gyro_are_measured(tmp_path, scale):
         true_rad_s = stage.robot.status()["imu"]["bias_rad_s"]
     found = re.search(r"offset ([-+.\d]+) rad/s, scale ([.\d]+) ± ([.\d]+)", text)
     bias_rad_s, measured, difference = (float(number) for number in found.groups())
-    # half a degree of the protractor in two turns
+    # the protractor's error is half a degree in two turns
     assert measured == pytest.approx(1.0 / scale, abs=2 * 0.5 / 720 + 1e-3)
     assert bias_rad_s == pytest.approx(true_rad_s, abs=5e-3)
     assert difference < 4 * 0.5 / 720 + 1e-3

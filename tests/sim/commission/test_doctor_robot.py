@@ -34,7 +34,7 @@ def doctor(*words):
 def test_a_healthy_daemon_passes_every_check(stage):
     status, found = doctor("--socket", str(stage.socket))
     assert found["joint left"]["verdict"] == found["5 devices"]["verdict"] == "ok"
-    # on a busy machine a thread stands still now and then; the daemon counts it
+    # on a busy machine a thread may stand still for a moment, which the daemon counts
     stalled = any(stage.robot.status()["stalls"].values())
     assert found["1 process and threads"]["verdict"] == ("warn" if stalled else "ok")
     assert found["2 topics"]["verdict"] == "ok"

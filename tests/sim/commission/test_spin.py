@@ -103,7 +103,7 @@ def test_every_ending_is_at_rest_and_without_power(stage, how):
 
 @pytest.mark.parametrize("how", ["Ctrl-C", "kill -9"])
 def test_spin_can_start_again_at_once(how, tmp_path):
-    """The lease of the first run still lives then, and does not hold the new one back."""
+    """The lease of the first run is still valid then, and does not block the second run."""
     with robot_of(tmp_path, copied(tmp_path), "input.socket.lease_s=5.0") as stage:
         for _ in range(2):
             with at_terminal("spin", "left", "--seconds", "10", "--socket", stage.socket) as screen:
@@ -175,7 +175,7 @@ def test_omni_wheels_turn_one_by_one(tmp_path):
                 others = {abs(after[n] - before[n]) for n in after if n != name}
                 assert max(others) < 0.1 * (after[name] - before[name])
             assert screen.end() == 0, screen.text
-        stage.wait_for("idle")  # a RoboClaw has no power to report
+        stage.wait_for("idle")  # a RoboClaw does not report whether it has power
         wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
 
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord spin` at a real terminal, on bases with steered wheels; the person sees the simulator's
-wheels."""
+"""`motord spin` at a real terminal, on bases with steered wheels; the simulated person sees the
+simulator's wheels."""
 
 import math
 
@@ -13,10 +13,10 @@ from motord.config import load_robot
 PLACES = ("front_left", "front_right", "rear_left", "rear_right")
 QUICK = ("--seconds", "1")
 VESC = "joint.drive.drive_watchdog_s=2.0"
-"""As safety.drive_watchdog_s of the stage."""
+"""Watchdog of the VESC, equal to the stage's safety.drive_watchdog_s."""
 OFF = round(0.1 * 4096 / math.tau)
 EXACT_COUNTS = 12
-"""A degree."""
+"""Tolerance of a zero_count: one degree."""
 
 
 class Watcher:
@@ -70,11 +70,11 @@ class Watcher:
 
 
 HELD_UP = ("no fresh set-points", "the robot stopped by itself")
-"""How a run ends without power where a busy machine lets set-points or positions grow old."""
+"""Messages of a run that ends early because a busy machine made set-points or positions old."""
 
 
 def spun(stage, driven, steering, *words):
-    """Exit status and text; run again where a busy machine held it up, at most TRIES times."""
+    """Run `spin`; return exit status and text. Repeat it, up to TRIES times, if it was held up."""
     for number in range(TRIES):
         if number:
             becomes_idle(stage)
@@ -98,7 +98,7 @@ def test_a_correct_car_passes(tmp_path):
 
 
 def crooked(folder, name):
-    """A copy whose last zero_count is a tenth of a radian off; the simulated servos show 2048."""
+    """Return a copy whose last zero_count is 0.1 rad off; the simulated servos have 2048."""
     file = copied(folder, ROBOT.parent / f"{name}.toml")
     before, old, after = file.read_text("utf-8").rpartition("zero_count = 2048")
     file.write_text(f"{before}{old[:-4]}{2048 + OFF}{after}", "utf-8")
@@ -106,7 +106,7 @@ def crooked(folder, name):
 
 
 def test_steering_of_a_car_that_is_inverted_and_crooked_is_put_right(tmp_path):
-    """The servo is on the other side, and its horn is off."""
+    """The servo is mounted on the other side, and its horn is turned by 0.1 rad."""
     file = crooked(tmp_path, "ackermann-servo")
     with robot_of(tmp_path, file, VESC, truth=("joint.steering.inverted=true",)) as stage:
         status, text = spun(stage, ["drive"], ["steering"], "steering")
@@ -118,7 +118,7 @@ def test_steering_of_a_car_that_is_inverted_and_crooked_is_put_right(tmp_path):
 
 @pytest.mark.long
 def test_swerve_modules_with_swapped_drives_are_put_right(tmp_path):
-    """The front ones steer and drive each other's wheel, one is inverted, one is crooked."""
+    """The front modules are swapped, rear_left is inverted, and a zero_count is 0.1 rad off."""
     file = crooked(tmp_path, "swerve4-servos")
     truth = {
         "front_left": {"unit": 3}, "front_right": {"unit": 1},

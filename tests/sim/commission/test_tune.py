@@ -16,7 +16,7 @@ from motord.config import load_robot
 
 FORWARD_ONLY = ROOT / "config/robots/forward-only.toml"
 HEAVY = ("left.coulomb_n_m=1.2", "right.coulomb_n_m=1.2")
-"""These wheels begin to turn at a duty of 15 %; the file has 6 %."""
+"""Friction with which the wheels begin to turn at a duty of 15 %; the file has 6 %."""
 STALL_N_M, FULL_RAD_S, INERTIA_KG_M2, VISCOUS = 8.0, 18.0, 0.07, 0.02
 REPLIES = {r"Is the path clear\? \[y/n\] ": "y", r"Write \S+cart\.toml\? \[y/n\] ": "y"}
 GAIN = "joint.left.speed_loop.gain_s_per_rad"
@@ -34,7 +34,7 @@ def stage(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def as_it_was(stage):
-    """Undoes what the test before wrote or set."""
+    """Undo what the test before wrote or set."""
     becomes_idle(stage)
     copied(stage.file.parent, FORWARD_ONLY)
     gains = [name for name in stage.robot.params_list() if ".speed_loop." in name]
@@ -42,8 +42,8 @@ def as_it_was(stage):
 
 
 def tuned(stage, *words, write="y"):
-    """Its exit status and its output. Where the computer was held up, nothing is written; it is
-    then run again, at most TUNED_TRIES times."""
+    """Run `tune`; return its exit status and its output. Repeat it, up to TUNED_TRIES times, if the
+    computer was held up, so that nothing was written."""
     replies = REPLIES | {r"Write \S+cart\.toml\? \[y/n\] ": write}
     for _ in range(TUNED_TRIES):
         with at_terminal("tune", *words, "--socket", stage.socket) as screen:
@@ -140,7 +140,7 @@ def test_a_wheel_is_identified_and_follows_better_with_the_new_gains(stage, tmp_
 
 @contextlib.contextmanager
 def held_up(process):
-    """Lets the process run for 0.1 s, then takes its CPU away for 0.5 s, over and over."""
+    """Stop the process for 0.5 s, then continue it for 0.1 s, until the end of the block."""
     over = threading.Event()
 
     def hold() -> None:

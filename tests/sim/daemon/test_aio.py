@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord.aio with a whole daemon: what motord.client does, without blocking the event loop."""
+"""motord.aio with a whole daemon: it does what motord.client does, and blocks no event loop."""
 
 import asyncio
 import contextlib
@@ -70,7 +70,7 @@ def test_it_imports_only_the_standard_library():
 
 
 async def in_time(move):
-    """The result of `move`, which is repeated where it was held up, at most TRIES times."""
+    """Return the result of `move`; repeat it where it was held up, up to TRIES times."""
     for _ in range(TRIES - 1):
         try:
             return await move()

@@ -18,7 +18,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROBOT, running, set_off, wait_unt
 from tests.sim.planted import offered
 
 FORK_FAULTS = 600
-"""Page faults of the loop that one fork of the daemon would cost: docs/architecture.md."""
+"""Page faults of the loop that one fork of the daemon would cause (docs/architecture.md)."""
 
 
 def free_port():
@@ -41,7 +41,7 @@ def stage(tmp_path_factory, port):
 
 
 def scraped(port):
-    """Figures by name and labels; None while no client listens."""
+    """Return the figures by name and labels; None while nothing listens on the port."""
     try:
         with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=10) as answer:
             text = answer.read().decode()
@@ -55,7 +55,7 @@ def scraped(port):
 
 
 def full(port):
-    """Figures, once those of the daemon are among them."""
+    """Return the figures as soon as those of the daemon are among them."""
     return wait_until(
         lambda: found if (found := scraped(port)) and ("motord_commands_total",) in found else None,
         "figures of the daemon",
@@ -67,7 +67,7 @@ def bus(stage):
 
 
 def living(stage, but=None):
-    """The process number of motord-bus, once it has reported."""
+    """Return the process number of motord-bus, once it has reported; not the number `but`."""
     return wait_until(
         lambda: (now := bus(stage)) and now["pid"] not in (None, but) and "inputs" in now and now,
         f"motord-bus\n{stage.logged()}",
@@ -79,7 +79,7 @@ def ticks(stage):
 
 
 def test_prometheus_reads_what_the_daemon_reports(stage, port):
-    # the figures lag behind the state that the daemon reports on its socket
+    # the figures are older than the state that the daemon reports on its socket
     figures = wait_until(
         lambda: found if (found := full(port))["motord_state", "idle"] == 1.0 else None,
         "figures of an idle robot",
@@ -178,9 +178,9 @@ TICKS = 1500
 
 
 LOGGED_MAX = 10
-"""At most one line in 10 s is logged, of thousands."""
+"""Limit of logged lines: of thousands that an adapter sends, one is logged in 10 s."""
 TROUBLES = {"spin": "trouble begins", "chatter": "trouble begins", "flood": "not its figures"}
-"""By the text that each leaves in the log."""
+"""Text that each kind of trouble leaves in the log."""
 
 
 @pytest.mark.parametrize("what", long_but(("flood",), TROUBLES))

@@ -39,7 +39,7 @@ def stage(everyone):
     everyone.robot.params_set(**everyone.limits)
     everyone.wait_for("idle")
     wait_until(lambda: not everyone.robot.status()["leases"], "the last test's sources are gone")
-    # a source that the test before left held is released by this zero
+    # this zero releases a source that the test before left blocked
     wait_until(lambda: accepted(lambda: everyone.robot.drive(0.0, 0.0)), "the loop takes commands")
     everyone.robot.release()
     everyone.sim.reset_truth()
@@ -47,7 +47,7 @@ def stage(everyone):
 
 
 def accepted(ask):
-    """Whether the daemon accepts it: it refuses while a drive is set up again."""
+    """Return whether the daemon accepts the request: it refuses while a drive is set up again."""
     try:
         ask()
     except Refused:
@@ -92,7 +92,7 @@ def wheels_turn(stage, rad_s=2.0):
 
 
 def set_off(stage, *more, **lease):
-    """An armed robot in motion, and the source that drives it."""
+    """Arm the robot and drive it until both wheels turn; return the source that drives it."""
     stage.robot.arm()
     with contextlib.ExitStack() as unless_off:
         source = unless_off.enter_context(Source(stage, SPEED_M_S, *(more or (0.0,)), **lease))
@@ -181,7 +181,7 @@ def test_an_emergency_stop_latches_until_reset_and_arm(stage):
         assert stage.robot.estop() == "estop"
         at_rest(stage)
         for attempt in (stage.robot.arm, stage.robot.reset):
-            with pytest.raises(Refused):  # latched; the source still requests motion
+            with pytest.raises(Refused):  # the stop is latched, and the source requests motion
                 attempt()
         assert stage.robot.status()["why"][0].startswith("requested by process")
         assert any("motord reset" in refusal for refusal in source.refusals)
@@ -292,7 +292,7 @@ def test_a_pulled_cable_and_its_return_change_the_state(stage):
         stage.robot.arm()
     stage.sim.plug("rs485")
     stage.wait_for("idle")
-    # the stop that the cable interrupted is finished first, within a second: arming waits
+    # arming waits until the stop that the cable interrupted has ended, within a second
     wait_until(lambda: accepted(stage.robot.arm), "armed again")
     assert stage.state() == "armed"
 
@@ -305,7 +305,7 @@ def test_limits_change_in_motion_as_one_group_or_not_at_all(stage):
             stage.robot.params_set(**{"limits.linear_ms": 0.2})
         for name in ("limits.linear_m_s3", "drive.left.control_word"):
             with pytest.raises(ClientError, match=f"{name}: is too large a number"):
-                stage.robot.params_set(**{name: 10**400})  # no float, and no upper bound
+                stage.robot.params_set(**{name: 10**400})  # too large for a float
         assert stage.robot.params_get() == stage.limits
         slow = {"limits.linear_m_s": 0.2, "limits.linear_m_s3": None}
         assert stage.robot.params_set(**slow) == slow
@@ -455,7 +455,7 @@ def test_an_idle_robot_logs_nothing(stage):
 
 
 def motord_at(stage, *arguments):
-    """Runs a command of the command line on this daemon."""
+    """Run a command of the command line on this daemon."""
     return CliRunner().invoke(cli, [*arguments, "--socket", str(stage.socket)])
 
 

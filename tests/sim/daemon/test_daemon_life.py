@@ -16,7 +16,7 @@ from motord.client import Refused
 
 @pytest.fixture
 def supervisor(tmp_path):
-    """A service manager's end of sd_notify."""
+    """Socket on which a service manager receives the messages of sd_notify."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(tmp_path / "notify"))
         listener.settimeout(DEADLINE_S)
@@ -31,7 +31,7 @@ def received_until(listener, last):
 
 
 def moving(stage):
-    """Armed, and on a lease that outlives the test's own pauses."""
+    """Wait for idle, then arm and drive at 0.5 m/s."""
     stage.wait_for("idle")
     set_off(stage, 0.5)
 
@@ -55,7 +55,7 @@ def test_a_daemon_that_hangs_feeds_no_watchdog(tmp_path, supervisor):
         stage.daemon.send_signal(signal.SIGSTOP)
         supervisor.settimeout(0.5)
         with pytest.raises(TimeoutError):
-            while True:  # what was sent before, and then nothing
+            while True:  # messages sent before the stop
                 supervisor.recv(1000)
         stage.daemon.send_signal(signal.SIGCONT)
         supervisor.settimeout(DEADLINE_S)
@@ -90,8 +90,8 @@ SLOW_RAMP = ("limits.linear_deceleration_m_s2=0.06", "limits.linear_m_s3=inf")
 
 
 def status_without_the_ramp(stage, *faults):
-    """The exit status after a second signal: the lines stop their drives as they end, while these
-    faults disturb them."""
+    """Return the exit status after a second signal, which ends the ramp: the lines stop their
+    drives as they end, while these faults disturb them."""
     moving(stage)
     stage.daemon.send_signal(signal.SIGTERM)
     wait_until(lambda: "comes to rest" in stage.logged(), "the first signal")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon locks in memory."""
+"""The memory that the daemon locks: no thread's whole stack."""
 
 import re
 
@@ -10,7 +10,7 @@ from tests.sim.daemon_stage import running
 from motord.client import ClientError
 
 THREAD_KB_MAX = 1024
-"""Of a thread's stack; an ordinary one has 8 MB."""
+"""Largest resident stack of a thread; an ordinary stack has 8 MB."""
 _MAPPING = re.compile(r"([0-9a-f]+)-([0-9a-f]+) (\S+) \S+ \S+ (\d+)")
 
 
@@ -22,7 +22,7 @@ def stage(tmp_path_factory):
 
 
 def stacks_kb(pid):
-    """Resident size of each stack: an anonymous mapping above a guard page."""
+    """Return the resident size of each stack: an anonymous mapping above a guard page."""
     found, guarded, is_stack = [], None, False
     with open(f"/proc/{pid}/smaps", encoding="ascii") as rows:
         for row in rows:

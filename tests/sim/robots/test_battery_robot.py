@@ -91,7 +91,7 @@ def test_a_critical_battery_prevents_arming_where_the_file_sets_stop(tmp_path):
 
 
 def test_a_moving_robot_comes_to_rest_when_its_battery_becomes_critical(tmp_path):
-    """The simulated 36 V drop as soon as a motor draws current."""
+    """The simulated 36 V fall below the critical voltage as soon as a motor draws current."""
     weak = ("battery.low_v=35.997", "battery.critical_v=35.995", "battery.hysteresis_v=0.0")
     with running(tmp_path, *DRIVES, *weak, STOPS) as stage:
         wait_until(lambda: level(stage) == "normal", "a measure")

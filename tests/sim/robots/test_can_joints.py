@@ -72,7 +72,7 @@ def test_a_joint_that_lost_its_reference_is_not_armed_and_does_not_move(stage):
             stage.robot.arm()
         except Refused as error:
             return "where tilt stands is not known" in str(error)
-        stage.robot.disarm()  # the drive has not been missed yet
+        stage.robot.disarm()  # the daemon has not noticed the reboot yet
         return False
 
     assert wait_until(refusal, stage.logged())

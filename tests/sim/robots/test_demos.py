@@ -23,9 +23,9 @@ ESTIMATED = {
     "two-single-drives": Source.SPEEDS,
     "waveshare-ugv": Source.SPEEDS,
 }
-"""The robots without position counters; the odometry of the others is judged."""
+"""Source of the odometry of robots without position counters; that of others is judged."""
 JOINTS = {"pan-tilt": {"pan": "position", "tilt": "position"}}
-"""The robots without a base, and what each joint takes."""
+"""Robots without a base, and the kind of set-point that each joint takes."""
 SENTENCES = {
     Source.COUNTERS: "every wheel has a position counter",
     Source.SPEEDS: "an estimate, not judged by a limit: a wheel without a position counter",
@@ -38,8 +38,8 @@ SERIAL = (
 
 
 def patient(name):
-    """Time-outs longer than the delays of a busy machine. The checks of the feedback stay as they
-    are: a healthy robot passes them on any machine."""
+    """Yield settings of time-outs that exceed the delays of a busy machine. The checks of the
+    feedback are not changed: a healthy robot passes them on any machine."""
     path = ROOT / f"config/robots/{name}.toml"
     robot = load_robot(path)
     yield "safety.feedback_timeout_s=3.0"
@@ -56,7 +56,7 @@ def patient(name):
 
 def demo(name, *options):
     settings = [f"--set={setting}" for setting in patient(name)]
-    # a swerve base stands while its wheels turn to where they are to point
+    # a swerve base stands until its wheels have turned to their directions
     seconds = "10" if name.startswith("swerve") else "5"
     return subprocess.run(
         [sys.executable, "-m", "motord", "demo", "--robot", name, "--seconds", seconds,

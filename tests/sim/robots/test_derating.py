@@ -7,7 +7,7 @@ from tests.sim.daemon_stage import wait_until
 from tests.sim.person_stage import at_terminal, copied, robot_of
 
 RANGE = "\n[joint.left.derating]\ntemperature_from_c = 15\ntemperature_to_c = 35\n"
-"""The simulated windings begin at 25 °C: half of the limit is left."""
+"""Range in which the simulated windings, at first at 25 °C, leave half of the limit."""
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A daemon on drives with failing feedback, or that ignore their set-points: on both engines."""
+"""A daemon on drives whose feedback fails or that ignore their set-points, on both engines."""
 
 import contextlib
 import math
@@ -42,7 +42,7 @@ def powered(stage):
 
 
 def hurt(stage, defect):
-    """Drives at speed until a fault is latched; a fault of a busy machine is reset."""
+    """Drive with the defect until a fault is latched; reset a fault that a busy machine causes."""
     end_s = time.monotonic() + 4 * DEADLINE_S
     while time.monotonic() < end_s:
         stage.sim.clear_faults_script()
@@ -56,7 +56,7 @@ def hurt(stage, defect):
 
 
 def drive_until(stage, condition):
-    """Sends commands until the condition holds."""
+    """Send commands until the condition holds."""
 
     def attempt():
         with contextlib.suppress(Refused):

@@ -23,7 +23,7 @@ def gyro(stage):
 
 
 def turned_and_slipped(stage):
-    """Half a turn to the left while the left wheels slip; returns the error of the heading."""
+    """Turn half a turn left while the left wheels slip; return the error of the heading."""
     stage.wait_for("idle")
     stage.sim.inject("slip:side=0,part=0.8")
 
@@ -79,7 +79,7 @@ def test_published_samples_are_in_the_bases_axes(tmp_path):
         running(tmp_path, *over, robot=ROBOT, stdout=subprocess.PIPE) as stage,
         stage.daemon.stdout,
     ):
-        # the simulator has the file's own mounting: its z is up, and is taken for forward here
+        # the simulator keeps the file's mounting, z up; here z is configured as forward
         wait_until(lambda: gyro(stage), "the gyro")
         felt = wait_until(lambda: stage.robot.status()["imu"]["acceleration_m_s2"], "a measure")
         assert felt[0] == pytest.approx(9.8, abs=0.2)

@@ -20,7 +20,7 @@ SETTINGS = (
 )  # fmt: skip
 NEAR_RAD = 0.03
 LEASE_S = 5.0
-"""The longest lease: a process starts meanwhile."""
+"""Longest lease; it has to last while a process starts."""
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def command(stage, *words):
 
 
 def shown(stage):
-    """What `motord status` prints."""
+    """Return what `motord status` prints."""
     words = [sys.executable, "-m", "motord", "status", "--socket", str(stage.socket)]
     return subprocess.run(
         words, capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT, check=True
@@ -154,7 +154,7 @@ def test_only_limits_that_these_joints_have_are_listed(stage):
 
 @pytest.fixture(name="slowed")
 def _slowed(armed):
-    """The pan joint is limited to 0.3 rad/s; the old limit is restored at the end."""
+    """The armed robot with its pan joint limited to 0.3 rad/s; the old limit is restored."""
     before = armed.robot.params_get(PAN_SPEED)
     armed.robot.params_set(**{PAN_SPEED: 0.3})
     yield armed

@@ -9,7 +9,7 @@ from tests.sim.daemon_stage import ROOT
 
 ESP32 = (ROOT / "config/robots/esp32.toml").read_text(encoding="utf-8")
 PATIENT = "[safety]\nfeedback_timeout_s = 2.0\nheartbeat_timeout_s = 2.0\n"
-"""A delay by a busy machine is no fault."""
+"""Section with which a delay by a busy machine is no fault."""
 
 
 def test_a_robot_on_a_board_drives_the_course_with_accurate_odometry(tmp_path):

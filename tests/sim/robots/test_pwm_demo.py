@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot on two bridges at a computer's pins drives the course, as `motord demo --robot
-pi5-bts7960` does. Also: what its wheels do when the daemon is killed."""
+pi5-bts7960` does. Also: the motion of its wheels when the daemon is killed."""
 
 import json
 import re
@@ -14,7 +14,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, set_off, wait_unti
 
 ROBOT = ROOT / "config/robots/pi5-bts7960.toml"
 PATIENT = "\n[safety]\nfeedback_timeout_s = 2.0\nheartbeat_timeout_s = 2.0\n"
-"""A delay by a busy machine is no fault."""
+"""Section with which a delay by a busy machine is no fault."""
 SPEED_RAD_S = 5.0
 
 
@@ -41,11 +41,11 @@ BY_GPIO = {
     "tb6612fng": ('pwm = "pwm{0}", in1 = "GPIO{1}", in2 = "GPIO{2}", stby = "GPIO{3}"', "0.05"),
     "cytron-mdd": ('pwm = "pwm{0}", dir = "GPIO{1}"', "0.03"),
 }
-"""Bridges whose direction GPIO lines select: their pins, and a dead band."""
+"""Pins and dead band of each bridge whose direction GPIO lines select."""
 
 
 def blind_robot(drive):
-    """The base of pi4-encoders on another bridge, without encoders and gyro."""
+    """Return the file of pi4-encoders with another bridge, without encoders and gyro."""
     text = (ROOT / "config/robots/pi4-encoders.toml").read_text(encoding="utf-8")
     pins, dead_band = BY_GPIO[drive]
     text = re.sub(r"\[(imu|joint\.\w+\.encoder)\]\n([^\[\n].*\n|\n)*", "", text)

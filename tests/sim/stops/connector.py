@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""connector.py SOCKET COUNT: holds COUNT silent connections; 0: connects and closes for ever, as
-often as it can."""
+"""connector.py SOCKET COUNT: holds COUNT silent connections. With a COUNT of 0 it connects and
+closes for ever, as often as it can."""
 
 import contextlib
 import resource

@@ -18,8 +18,8 @@ SPEED_M_S = 0.5
 
 @contextlib.contextmanager
 def moving(stage, robot, speed_m_s=SPEED_M_S):
-    """A source in its own process drives straight on, and the simulated wheels turn. If a busy
-    machine latches a fault before they do, it is reset and another source is started."""
+    """Start a source in its own process that drives straight on, wait until the simulated wheels
+    turn, and yield it. If a busy machine latches a fault before, reset it and start another one."""
     stage.wait_for("idle")
     fast_rad_s = 0.9 * speed_m_s / robot.base.wheel_radius_m
     with contextlib.ExitStack() as sources:
@@ -64,7 +64,7 @@ def powered(stage):
 
 
 def seconds_to_rest(stage, hurt):
-    """From just before `hurt()` until the last wheel stood."""
+    """Call `hurt`; return the seconds from just before it until the last wheel stood."""
     before_s = stage.sim.truth().time_s
     hurt()
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")

@@ -31,7 +31,7 @@ def powered(stage):
 
 
 def reset(stage):
-    """Retried until it is accepted: a drive may still be in its set-up."""
+    """Reset; repeat it until it is accepted, because a drive may still be in its set-up."""
 
     def taken():
         with contextlib.suppress(Refused):
@@ -65,7 +65,7 @@ def test_pending_calls_do_not_refuse_an_emergency_stop(tmp_path):
 
 
 def test_a_disarm_waits_for_the_ramp_of_a_fault(tmp_path):
-    """A wheel that loses its power in motion coasts."""
+    """Without the ramp a wheel would lose its power in motion, and coast."""
     with running(tmp_path, *SLOW_RAMP, robot=SKID) as stage:
         set_off(stage)
         stage.sim.inject("silence:unit=2,for_s=1000")
@@ -114,7 +114,7 @@ def test_terminal_signals_end_the_daemon_at_rest_and_do_not_suspend_it(tmp_path,
 
 
 def test_a_source_that_reconnects_for_each_command_is_held_like_any_other(tmp_path):
-    """It sent commands through the stop, so it must not set off after the stop."""
+    """The source sends commands during the stop, so the robot must not set off after it."""
     with running(tmp_path) as stage:
         set_off(stage)
         stage.robot.stop()
@@ -130,7 +130,7 @@ def test_a_source_that_reconnects_for_each_command_is_held_like_any_other(tmp_pa
 
 
 def test_drives_without_a_stop_report_do_not_restart_after_a_pause(tmp_path):
-    """The daemon is suspended: the drives' watchdogs set the duty to 0, and no other follows."""
+    """While the daemon is suspended, the drives' watchdogs set the duty to 0; it stays 0."""
     with running(tmp_path, "safety.drive_watchdog_s=0.5", robot=FORWARD_ONLY) as stage:
         set_off(stage)
         stage.daemon.send_signal(signal.SIGSTOP)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A callback that never returns: the C side brings the robot to rest, although a source goes on
-commanding, and the supervisor is notified no more."""
+"""A callback of asyncio never returns: the C side brings the robot to rest, although a source goes
+on commanding, and the supervisor gets no more notifications."""
 
 import os
 import signal

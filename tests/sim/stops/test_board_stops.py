@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever dies, the wheels of a board come to rest: as test_stopping.py, on config/robots/esp32.
-After a silence motord_mcu.c stops them; until then the line does."""
+"""Whatever dies, the wheels of a board come to rest: the tests of test_stopping.py for the robot
+esp32. motord_mcu.c stops them when no frames come; while frames come, the line stops them."""
 
 import os
 import signal
@@ -52,7 +52,7 @@ def test_when_the_port_is_pulled_the_board_stops_and_comes_back_disarmed(tmp_pat
 
 @pytest.mark.parametrize("how", ["GIL", "asyncio"])
 def test_without_python_the_line_itself_brings_the_wheels_to_rest(tmp_path, robot, how):
-    """The line's frames stop them: the board's own watchdog would act after the bound."""
+    """The line's frames stop the wheels: the board's own watchdog would act after the bound."""
     pipe = tmp_path / "hog"
     os.mkfifo(pipe)
     settings = (f"safety.heartbeat_timeout_s={HEARTBEAT_S}", "safety.drive_watchdog_s=2.0")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whatever ends motord-bus while it commands: its lease lapses, the robot rests, loop and lines go
-on, and another process starts soon. `make bench` measures the loop's lateness meanwhile: on a busy
-machine the figure means nothing."""
+on, and another motord-bus starts soon. `make bench` measures the loop's lateness meanwhile: it
+would mean nothing on the busy machine of these tests."""
 
 import os
 import signal
@@ -12,9 +12,9 @@ from tests.sim.daemon_stage import obeying, running, wait_until
 from tests.sim.planted import Planted
 
 BACK_WITHIN_S = 60.0
-"""A hanging motord-bus is replaced after 10 s."""
+"""Longest time until another motord-bus runs; one that hangs is replaced after 10 s."""
 FORK_FAULTS = 600
-"""Page faults of the loop that one fork of the daemon would cost: docs/architecture.md."""
+"""Page faults of the loop that one fork of the daemon would cause (docs/architecture.md)."""
 CYCLES = 20
 FAULTS = {
     "SIGKILL": "was ended by SIGKILL",
@@ -23,7 +23,7 @@ FAULTS = {
     "leak": "MemoryError",
     "loop": "was silent",
 }
-"""By fault, the text that the log has of it."""
+"""Text that each fault leaves in the log."""
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def stage(tmp_path, planted):
 
 
 def leasing(stage, but=None):
-    """The process number of motord-bus, once it has a lease."""
+    """Return the process number of motord-bus, once it has a lease; not the number `but`."""
 
     def found():
         now = stage.robot.status()["bus"]

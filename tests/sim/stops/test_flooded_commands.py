@@ -35,7 +35,7 @@ def flood(stage):
 
 
 async def rest(stage):
-    """The pad commands rest, then releases its lease. Returns the owners in command meanwhile."""
+    """Command rest as the pad, then release its lease; return the owners in command meanwhile."""
     source, seen = Source(stage.socket, "pad"), []
     async with asyncio.TaskGroup() as tasks:
         holding = tasks.create_task(source.run())
@@ -55,7 +55,7 @@ async def rest(stage):
 
 
 def leases(stage):
-    """Owners of the leases, the one in command first."""
+    """Return the owners of the leases, the one in command first."""
     found = stage.robot.status()["leases"]
     for lease in found[1:]:
         assert lease["why"] == f"waits: {found[0]['owner']} has a higher priority"
@@ -88,7 +88,7 @@ def test_a_source_is_limited_to_the_rate_in_the_robot_file(tmp_path):
         with flood(stage):
             wait_until(lambda: commander(stage) == "flood", "the flood commands")
             wait_until(lambda: refused(stage) > 1000, "commands above the rate are refused")
-            # after the few that may exceed the rate at first
+            # at first some commands may exceed the rate
             wait_until(
                 lambda: 0.0 < stage.robot.status()["leases"][0]["rate_hz"] < 60.0, "its rate"
             )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon reports of missing safety pins."""
+"""The daemon's report of missing safety pins."""
 
 import subprocess
 import sys

@@ -27,7 +27,7 @@ ODRIVE_SETS_OFF = {
     0x07: struct.pack("<I", 8),
     0x0D: struct.pack("<ff", 1.0, 0.0),
 }
-"""CAN Simple: velocity control, closed loop, a turn a second."""
+"""Frames of CAN Simple for velocity control, closed loop and a turn a second."""
 
 TWO_CHIPS = """
 [robot]
@@ -76,7 +76,7 @@ rate_hz = 1
 
 
 def stop_all(*settings, robot=ROBOT):
-    """Exit status, and its report of the lines."""
+    """Run `motord stop-all`; return its exit status and its report of the lines."""
     command = [sys.executable, "-m", "motord", "stop-all", str(robot), "--json"]
     command += [part for setting in settings for part in ("--set", setting)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE_S, cwd=ROOT)
@@ -118,7 +118,7 @@ def where_it_looks(tmp_path, monkeypatch):
 
 @pytest.fixture
 def own_file(tmp_path):
-    """A robot file to be edited."""
+    """A copy of the robot file, for a test to edit."""
     robot = tmp_path / "own.toml"
     robot.write_text(ROBOT.read_text(encoding="utf-8"), encoding="utf-8")
     return robot
@@ -277,7 +277,7 @@ SERVO_TORQUE, SERVO_MODE, SERVO_GOAL, VELOCITY_MODE = 40, 33, 46, 1
 
 
 def test_bus_servos_left_turning_stop_and_lose_their_torque(tmp_path):
-    """They have no watchdog, so nothing else would stop them. The maker's SDK has started them."""
+    """The maker's SDK starts the servos. They have no watchdog: only stop-all can stop them."""
     robot = ROOT / "config/robots/two-bus-servos.toml"
     with start_simulator(robot, link_dir=tmp_path) as simulator:
         path = str(tmp_path / "servos")

@@ -18,7 +18,7 @@ HOGGED = ("-m", "tests.sim.hogged_daemon")
 IDLE_CONNECTIONS = 2000
 STORMERS = 2
 FAULT_LATCHED = 3
-"""Exit status."""
+"""Exit status of a command while a fault is latched."""
 
 
 @contextlib.contextmanager
@@ -56,9 +56,9 @@ def is_off(stage):
 
 
 def at_rest_by(stage, method):
-    """Runs the command, which prints the state, while a lease keeps the wheels turning. A flood
-    starves the simulated drives too: a fault for their silence may overtake the stop, and is then
-    the answer."""
+    """Run the command while a lease keeps the wheels turning; return the state that it prints, once
+    the robot rests. The flood also slows the simulated drives: if a fault for their silence
+    precedes the stop, return "fault"."""
     done = motord(stage, method)
     wait_until(lambda: rests(stage), f"rest after {method}")
     if done.returncode == FAULT_LATCHED and "feedback_stale" in done.stderr:
@@ -72,7 +72,7 @@ def at_rest_by(stage, method):
 
 @contextlib.contextmanager
 def driven(stage):
-    """Drives at speed by its own client: the others may push out any connection."""
+    """Drive at speed with a new client, because other clients may close older connections."""
     with stage.client() as client:
         stage.robot.close()
         stage.robot = client

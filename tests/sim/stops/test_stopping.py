@@ -96,7 +96,7 @@ HEARTBEAT_S = 0.5
 
 @pytest.mark.parametrize("how", ["GIL", "asyncio"])
 def test_without_python_the_line_itself_brings_the_wheels_to_rest(tmp_path, robot, how):
-    """The line's frames stop them: the drives' own watchdogs would act long after the bound."""
+    """The line's frames stop the wheels: the drives' watchdogs would act long after the bound."""
     pipe = tmp_path / "hog"
     os.mkfifo(pipe)
     settings = (f"safety.heartbeat_timeout_s={HEARTBEAT_S}", "safety.drive_watchdog_s=10.0")
@@ -177,7 +177,7 @@ def test_the_demonstration_succeeds_and_prints_every_key_of_the_contract(tmp_pat
 
 
 def test_an_answered_stop_is_not_repeated_by_its_datagram(tmp_path):
-    """Each stop is sent twice: to the loop, which reads once in a tick, and to asyncio."""
+    """A client sends each stop to the loop, which reads once in a tick, and to asyncio."""
     with running(tmp_path, "loop.rate_hz=20") as stage:
         stage.wait_for("idle")
         for _ in range(5):

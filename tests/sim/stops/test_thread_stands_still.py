@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One thread of the daemon stands still while all others go on: the wheels come to rest, and the
-supervisor's watchdog is fed no more until it moves again.
+supervisor's watchdog is not fed until the thread runs again.
 
 Source: ptrace(2), PTRACE_SEIZE and PTRACE_INTERRUPT stop a single thread.
 """
@@ -20,7 +20,7 @@ LIBC.ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_
 LIBC.ptrace.restype = ctypes.c_long
 DETACH, SEIZE, INTERRUPT = 17, 0x4206, 0x4207
 WALL = 0x40000000
-"""waitpid(2): also for threads."""
+"""Option of waitpid(2) to wait for threads, too."""
 WATCHED = {"loop": ("motord-loop", "the loop"), "line": ("motord-line", "line rs485")}
 
 
@@ -32,7 +32,7 @@ def ptrace(request, tid):
 
 @contextlib.contextmanager
 def stands_still(pid, name):
-    """The thread with that name prefix stands still, in a child of this process."""
+    """Stop the thread with this name prefix, in a child of this process, until the block ends."""
     tasks = Path(f"/proc/{pid}/task").iterdir()
     (tid,) = [int(t.name) for t in tasks if (t / "comm").read_text().startswith(name)]
     try:
@@ -59,7 +59,7 @@ def test_the_watchdog_is_not_fed_for_a_thread_that_stands_still(tmp_path, which)
             wait_until(lambda: f"{heart} has not moved" in stage.logged(), "it is missed")
             stage.wait_for("fault")
             wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
-            notifications(supervisor)  # what had been sent
+            notifications(supervisor)  # drop what was sent before
             silent_since_s = time.monotonic()
             wait_until(lambda: time.monotonic() - silent_since_s > PATIENCE_S, "the supervisor's")
             assert not fed(supervisor)

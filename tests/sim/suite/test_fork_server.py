@@ -24,7 +24,7 @@ SIMULATE = (sys.executable, "-m", "motord", "simulate", DEMO, "--stop-on-eof")
 
 @contextlib.contextmanager
 def simulator(**options):
-    """A running simulator and its first line of output."""
+    """Run a simulator; yield its process and its first line of output."""
     pipe = subprocess.PIPE
     with subprocess.Popen(SIMULATE, stdin=pipe, stdout=pipe, **options) as process:
         try:
@@ -44,12 +44,12 @@ def of(process, name):
 
 
 def is_forked(process):
-    """Its command line is in the space that the fork server reserves for it."""
+    """Return whether the command line is in the space that the fork server reserves for it."""
     return len(of(process, "cmdline").read_bytes()) > NAME_BYTES
 
 
 def both(what, *arguments):
-    """The result with a forked program, and with one started by exec."""
+    """Return the result with a forked program, and with one started by exec."""
     with started_from_nothing():
         real = what(*arguments)
     return what(*arguments), real
@@ -147,7 +147,7 @@ def test_every_module_to_import_beforehand_exists():
 
 
 def children(pid):
-    """Numbers of its child processes."""
+    """Return the numbers of the child processes of this process."""
     return [
         number
         for path in Path(f"/proc/{pid}/task").glob("*/children")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fuzz targets in Python, each for a moment. The long run is `make fuzz`."""
+"""A short run of each fuzz target in Python. The long run is `make fuzz`."""
 
 import subprocess
 import sys
@@ -28,7 +28,7 @@ def test_hostile_inputs_end_in_errors_that_are_handled(target, runs):
 
 
 def test_a_drive_with_late_torn_replies_gets_its_whole_power_off_sequence():
-    """The third life of this seed once had time for half of the sequence only."""
+    """An earlier version had time for only half of the sequence in the third life of this seed."""
     run = fuzz("guard", 150, seed=2142689052)
     assert run.returncode == 0, run.stderr
 

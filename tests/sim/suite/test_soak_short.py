@@ -26,7 +26,7 @@ ENGINES = ("rt", "asyncio")
 
 @pytest.fixture(scope="module")
 def outcomes():
-    """Outcomes of both engines, run at once."""
+    """Outcomes of both engines, which run at once."""
     with ThreadPoolExecutor(len(ENGINES)) as pool:
         ran = pool.map(lambda engine: live(SEED, engine, FAULTS, BATCH), ENGINES)
         return dict(zip(ENGINES, ran, strict=True))
@@ -64,7 +64,7 @@ def test_the_limit_is_that_of_the_fastest_wheel_with_a_small_tolerance():
 
 
 class Journal:
-    """The journal of reported counts, without a simulator."""
+    """Stand-in for the simulator: a journal of given counts."""
 
     def __init__(self, **entries):
         self.entries = {int(unit.removeprefix("unit_")): rows for unit, rows in entries.items()}

@@ -30,7 +30,7 @@ def idle(stage):
         return stage.state() == "idle"
 
     wait_until(rests, "idle")
-    # A command that ended while its motion was refused has to send zero first.
+    # The owner of a command whose motion was refused has to send zero before it may move again.
     stage.robot.drive(0.0, 0.0, owner="motord-drive")
     stage.robot.release("motord-drive")
     return stage
@@ -44,7 +44,7 @@ def command(stage, *words):
 
 
 def ended(process):
-    """Its exit status, and the one object that it printed."""
+    """Wait until the command ends; return its exit status and the one object that it printed."""
     out, _ = process.communicate(timeout=DEADLINE_S)
     return process.returncode, json.loads(out)
 

@@ -55,7 +55,7 @@ def wait_for_motion(stage):
 
 
 def ended_in_time(stage, *words):
-    """The pose before and the result; run again where it was held up, at most TRIES times."""
+    """Return the truth before and the result; repeat where it was held up, up to TRIES times."""
     for _ in range(TRIES):
         before = stage.sim.truth()
         with command(stage, *words) as process:

@@ -10,7 +10,7 @@ from tests.sim.daemon_stage import DEADLINE_S, ROOT, TRIES, running, was_held_up
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 EXTRA_OF = {"motord top": "tui", "--plot": "plot"}
-"""The parts that need packages which `pip install motord` leaves out."""
+"""Extra that each part needs: packages which `pip install motord` leaves out."""
 
 
 @pytest.fixture

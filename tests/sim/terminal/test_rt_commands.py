@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands as datagrams that the loop itself takes in: docs/commands.md, with its own examples."""
+"""Commands as datagrams that the loop itself takes in, with the examples of docs/commands.md."""
 
 import contextlib
 import os
@@ -30,7 +30,7 @@ def stage(tmp_path_factory):
 
 
 def arm(stage):
-    """A fault that a busy machine latched in the test before is reset."""
+    """Arm; reset a fault that a busy machine latched in the test before. Return whether armed."""
     with contextlib.suppress(Refused):
         if stage.state() == "fault":
             stage.robot.reset()
@@ -114,7 +114,7 @@ def test_a_source_that_keeps_sending_through_a_stop_is_held_until_it_sends_zero(
 def test_the_higher_priority_commands_through_either_socket(armed):
     with Source(armed, owner="autopilot") as source, armed.client() as person:
         source.send(0.2)
-        assert person.drive(0.0, 0.0, owner="person")["in_command"]  # 100 against 50
+        assert person.drive(0.0, 0.0, owner="person")["in_command"]  # priority 100 against 50
         source.send(0.3)
         leases = armed.robot.status()["leases"]
         assert [lease["owner"] for lease in leases] == ["person", "autopilot"]

@@ -7,7 +7,7 @@ import pytest
 from tests.sim.daemon_stage import running
 
 NEVER_REACHED = "limits.linear_m_s=1.3"
-"""This robot file causes a warning."""
+"""Setting that causes a warning at the start."""
 CLOSING = """
 import os, sys
 os.close(2)
@@ -16,7 +16,7 @@ os.execv(sys.executable, [sys.executable, "-m", "motord", *sys.argv[1:]])
 
 
 def full_pipe():
-    """Both ends of a full pipe, on which a write blocks."""
+    """Return both ends of a full pipe, on which a write blocks."""
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     try:

@@ -14,7 +14,7 @@ from tests.sim.pseudo_terminal import at_terminal
 from motord.client import ClientError
 
 RELEASED_S = 1.5
-"""Longer than a lease, and longer than one key press lasts."""
+"""Pause that is longer than a lease, and longer than the effect of one key press."""
 
 
 @pytest.fixture(scope="module")
@@ -35,8 +35,8 @@ def teleop(stage, **options):
 
 
 def hold(stage, terminal, key="w"):
-    """Holds keys until the wheels turn. On a slow machine keys get too old, or a fault is latched,
-    which is reset here. A held key does not drive after either; then it is pressed again."""
+    """Hold a key until the wheels turn. On a slow machine keys get too old, or a fault is latched,
+    which is reset here. After either a held key does not drive: release it and press it again."""
     seen = {"refusals": 0}
 
     def refusals():
@@ -86,7 +86,7 @@ def test_two_keys_move_a_base_sideways(tmp_path):
 def test_keys_delayed_by_a_slow_link_move_nothing(armed):
     with teleop(armed) as terminal:
         hold(armed, terminal)
-        terminal.answers = False  # the link stands still, and the key is released meanwhile
+        terminal.answers = False  # the link hangs, and the key is released
         rests(armed)
         terminal.wait_until(lambda: not armed.robot.status()["leases"], "no lease")
         accepted = armed.robot.status()["commands"]["accepted"]
@@ -96,7 +96,7 @@ def test_keys_delayed_by_a_slow_link_move_nothing(armed):
         terminal.type("x")
         assert terminal.exit_status() == 0
     assert armed.sim.truth().at_rest
-    assert armed.robot.status()["commands"]["accepted"] - accepted <= 1  # the zero at the end
+    assert armed.robot.status()["commands"]["accepted"] - accepted <= 1  # zero at the end
 
 
 def test_the_space_bar_is_an_emergency_stop(armed):
@@ -154,10 +154,10 @@ def test_a_suspended_teleop_stops_the_robot(armed):
         hold(armed, terminal)
         terminal.process.send_signal(signal.SIGSTOP)
         for _ in range(5):
-            terminal.type("w")  # waits in the terminal's buffer
+            terminal.type("w")  # the key waits in the terminal's buffer
         rests(armed)
         accepted = armed.robot.status()["commands"]["accepted"]
-        terminal.type("x")  # counts, although it was pressed meanwhile
+        terminal.type("x")  # it takes effect although it was pressed before SIGCONT
         terminal.process.send_signal(signal.SIGCONT)
         terminal.exit_status()
         assert armed.robot.status()["commands"]["accepted"] - accepted <= 2
@@ -169,7 +169,7 @@ def test_a_lost_daemon_ends_it_and_the_robot_rests(armed):
         armed.daemon.send_signal(signal.SIGSTOP)
         try:
             assert terminal.exit_status() == 1
-            rests(armed)  # by the watchdog of its drives
+            rests(armed)  # the watchdog of the drives stops it
             assert terminal.settings == terminal.before
         finally:
             armed.daemon.send_signal(signal.SIGCONT)

@@ -23,7 +23,7 @@ def stage(tmp_path_factory):
 
 @contextlib.contextmanager
 def top(stage):
-    """`top` on an idle robot."""
+    """Run `motord top` on an idle robot; yield its terminal."""
     becomes_idle(stage)
     with at_terminal("top", "--socket", str(stage.socket), answers=False) as terminal:
         terminal.wait_for("joint")
@@ -42,7 +42,7 @@ def test_it_shows_the_robot_and_its_keys_act(stage):
         terminal.wait_until(lambda: stage.state() == "armed", "armed", keys="ay")
         obeying(stage, lambda may: may and stage.robot.drive(0.2, 0.0))
         terminal.wait_until(lambda: stage.robot.drive(0.2, 0.0) and "MOVING" in terminal.text, "it")
-        terminal.type(" ")  # no question
+        terminal.type(" ")  # this key acts without a question
         terminal.wait_until(lambda: stage.state() == "estop", "the emergency stop")
         terminal.wait_for("ESTOP")
         terminal.wait_for("r resets")

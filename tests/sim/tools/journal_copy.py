@@ -11,7 +11,7 @@ JOURNAL = "/core_journal"
 
 
 def rewritten(path, target, change):
-    """A copy in which `change(number, data)` replaces each journal message; None leaves it out."""
+    """Write a copy in which `change(number, data)` replaces each journal message; None omits it."""
     with path.open("rb") as file, target.open("wb") as sink:
         writer = Writer(sink)
         writer.start(profile="ros2", library="test")
@@ -28,7 +28,7 @@ def rewritten(path, target, change):
 
 
 def with_records(data, change):
-    """The message with other records: they lie behind the checkpoints."""
+    """Return the message with changed records, which lie behind the checkpoints."""
     at = 16 + 4 + struct.unpack_from("<I", data, 16)[0]
     at += -at % 4
     length = struct.unpack_from("<I", data, at)[0]
@@ -38,7 +38,7 @@ def with_records(data, change):
 
 
 def flipped(number, data):
-    """For `rewritten`: flips one bit of the input."""
+    """Flip one bit of the input in message 5; a change for `rewritten`."""
     if number != 5:
         return data
     size = struct.unpack_from("<I", data, 8)[0]

@@ -35,7 +35,7 @@ COMMAND = [sys.executable, "-m", "motord", "latency"]
 DEADLINE_S = 60.0
 STOPPED_S = 0.2
 SEARCHED_S = 0.3
-"""The length of each measurement of a search: threads are sampled every tenth of a second."""
+"""Length of each measurement of a search: threads are sampled every tenth of a second."""
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def report():
 
 
 def helpers():
-    """Running processes that this one has started for a measurement."""
+    """Return the running processes that this one has started for a measurement."""
     found = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -58,7 +58,7 @@ def helpers():
 
 
 def left_behind():
-    """Files of ended cyclictest processes."""
+    """Return the files of cyclictest processes that have ended."""
     files = Path("/dev/shm").glob("cyclictest*")
     return {f for f in files if not Path("/proc", f.name.removeprefix("cyclictest")).exists()}
 
@@ -136,7 +136,7 @@ def test_it_measures_under_load_and_leaves_nothing_behind(load):
 
 @pytest.fixture(scope="module")
 def recorded():
-    """Skips where the kernel does not show its scheduler records."""
+    """Skip a test where the kernel does not show its scheduler records."""
     try:
         SwitchReader([0]).__exit__()
     except SwitchesUnknown as error:
@@ -256,7 +256,7 @@ def test_it_measures_outside_the_main_thread_too():
 
 @contextlib.contextmanager
 def running():
-    """A long run of the command, once it measures."""
+    """Start a long run of the command; yield it once it measures."""
     with subprocess.Popen(
         [*COMMAND, "--seconds", "300", "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=ENVIRONMENT, text=True,
@@ -294,7 +294,7 @@ def was_stopped():
 
 
 def test_a_stopped_process_is_rated_unusable():
-    # A stop that falls into a tick makes that tick long, and no wake-up late.
+    # A stop during a tick makes that tick long, but no wake-up late.
     found = wait_until(
         lambda: (run := was_stopped())["lateness_us"]["max"] >= 0.9 * STOPPED_S * 1e6 and run,
         "a stop while the loop sleeps",
@@ -303,7 +303,7 @@ def test_a_stopped_process_is_rated_unusable():
 
 
 def without_real_time():
-    """A command's prefix that takes the right to SCHED_FIFO away."""
+    """Return a prefix of a command that takes the right to SCHED_FIFO away."""
     if os.geteuid() != 0:
         return ["prlimit", "--rtprio=0:0"]
     return ["setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice"]

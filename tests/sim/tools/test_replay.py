@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A drive of a whole daemon, recorded and run through the core again."""
+"""The drive of a robot with a whole daemon, recorded and run through the core again."""
 
 import json
 import signal
@@ -41,7 +41,7 @@ def outcome(*words, status=0):
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """A robot that has driven, turned, lost its command, and had an emergency stop."""
+    """Recording of a robot that drove, turned, lost its command, and had an emergency stop."""
     folder = tmp_path_factory.mktemp("tape")
     with running(folder, "loop.rate_hz=1000", *settings(folder / "files")) as stage:
         stage.wait_for("idle")

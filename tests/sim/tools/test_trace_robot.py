@@ -57,7 +57,7 @@ def test_a_reply_with_a_wrong_check_sum_and_an_exception_are_named(stage, fault,
     stage.sim.inject(fault)
     try:
         found = ""
-        while result not in found:  # the limit of time is pytest's
+        while result not in found:  # pytest's time limit ends it
             rows = trace(stage, "--json", "--count", "10").splitlines()
             found = " ".join(json.loads(row)["result"] for row in rows)
     finally:
@@ -117,7 +117,7 @@ BOARDS = {
     "hoverboard-rover": ("set-points: target_", "feedback: ", "velocity_left .*voltage 3"),
     "sabertooth": ("write serial_timeout ", "motor_1 ", "motor_2 "),
 }
-"""Robot → what is sent, what is received, and names of the profile."""
+"""Robot → texts for what is sent, what is received, and names of the profile."""
 
 
 @pytest.mark.parametrize("name", BOARDS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A dashboard's port and its pages. Each file has a `stage` of its own, the daemon behind them."""
+"""A dashboard's port and its pages. Each file has its own `stage`, the daemon behind the pages."""
 
 import pytest
 from tests.sim.web.web_page import free_port, pages
@@ -12,6 +12,6 @@ def port():
 
 @pytest.fixture
 async def connect(stage, port):
-    """Opens pages; a file that prepares its robot first has its own."""
+    """Function that opens pages; a file that first prepares its robot has its own fixture."""
     async with pages(port) as connected:
         yield connected

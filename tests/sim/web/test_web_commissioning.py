@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Procedures by the dashboard's socket: which page begins, answers and stops one, what ends it."""
+"""Procedures by the dashboard's socket: which page starts, answers and stops them; their ends."""
 
 import asyncio
 import contextlib
@@ -43,7 +43,7 @@ def record(one):
 
 
 async def question(page, *problems):
-    """The open question, with one of `problems` if any are given."""
+    """Wait for an open question, with one of `problems` if any are given; return it."""
 
     def asked(one):
         found = record(one).get("question")
@@ -54,7 +54,7 @@ async def question(page, *problems):
 
 @contextlib.asynccontextmanager
 async def present(page):
-    """Sends the signs of life of a visible page."""
+    """Send the signs of life of a visible page until the end of the block."""
 
     async def signs():
         while True:
@@ -69,7 +69,7 @@ async def present(page):
 
 
 async def answered(page, value, enough):
-    """Answers each question, also one asked again, until `enough` is true of a message."""
+    """Answer each question, also a repeated one, until `enough` is true of a message."""
     given = 0
     while True:
 
@@ -87,7 +87,7 @@ async def answered(page, value, enough):
 
 
 async def turning(stage, page):
-    """A wheel turns longer than the test lasts; the page sends no more signs of life."""
+    """Start a spin that outlasts the test; the page then sends no more signs of life."""
     async with present(page):
         await page.answer("commission.start", **SPIN)
         await answered(page, value=True, enough=lambda _: fastest_rad_s(stage) > 0.5)
@@ -98,7 +98,7 @@ def fastest_rad_s(stage):
 
 
 def message_pipe(stage):
-    """The pipe by which the procedure sends messages to motord-bus; its stdout is its log."""
+    """Return the pipe of the procedure's messages to motord-bus; its stdout is its log."""
     (procedure,) = bus_children(stage, "motord.commission.page.procedure")
     read = {target for _, target in pipes(stage.robot.status()["bus"]["pid"])}
     (found,) = (one for one, target in pipes(procedure) if target in read and one.name != "0")
@@ -107,7 +107,7 @@ def message_pipe(stage):
 
 def pipes(pid):
     for one in Path(f"/proc/{pid}/fd").iterdir():
-        with contextlib.suppress(OSError):  # it has been closed meanwhile
+        with contextlib.suppress(OSError):  # the descriptor has been closed
             if (target := os.readlink(one)).startswith("pipe:"):
                 yield one, target
 

@@ -192,5 +192,5 @@ async def test_a_killed_check_is_reported_and_the_next_one_answers(stage, connec
         return isinstance(one, dict) and one.get("answer") == 7 and one
 
     found = await page.until(killed)
-    assert "failed" in found.get("error", "failed")  # or it ended before the kill
+    assert "failed" in found.get("error", "failed")  # the check may have ended before the kill
     assert "result" in await page.answer("file.check", text="[")

@@ -22,7 +22,7 @@ def stage(tmp_path_factory, port):
 
 
 def frame(one):
-    """The number of a frame."""
+    """Return the number of a frame, None for another message."""
     return one if isinstance(one, int) else None
 
 

@@ -31,7 +31,7 @@ def listens(port):
 
 
 def bus_children(stage, command):
-    """Processes of motord-bus that run this command of motord."""
+    """Return the child processes of motord-bus that run this command of motord."""
     bus = stage.robot.status()["bus"]["pid"]
     children = Path(f"/proc/{bus}/task/{bus}/children").read_text(encoding="ascii").split()
     found = []
@@ -43,14 +43,14 @@ def bus_children(stage, command):
 
 
 class Page:
-    """What a page does with its socket."""
+    """A page's end of the dashboard's socket."""
 
     def __init__(self, connection, acknowledges):
         self.connection, self.acknowledges = connection, acknowledges
 
     async def until(self, wanted):
-        """The first true result of `wanted`, called with each message: JSON as it is, a frame by
-        its number."""
+        """Call `wanted` with each message, decoded JSON or the number of a frame; return its first
+        true result."""
         async with asyncio.timeout(DEADLINE_S):
             while True:
                 message = await self.connection.receive()
@@ -78,7 +78,7 @@ class Page:
 
 
 async def ended(page):
-    """Waits until no procedure runs, which the next status shows."""
+    """Wait until no procedure runs, which the next status shows."""
 
     def idle(one):
         return isinstance(one, dict) and "status" in one and one["status"]["commissioning"] is None
@@ -88,7 +88,7 @@ async def ended(page):
 
 @contextlib.contextmanager
 def with_dashboard(folder, port, *settings, robot=ROBOT):
-    """A daemon whose dashboard needs TOKEN, with idle drives."""
+    """Run a daemon whose dashboard needs TOKEN; yield its stage once the drives are idle."""
     token = folder / "token"
     token.write_text(TOKEN, encoding="utf-8")
     token.chmod(0o600)
@@ -103,7 +103,7 @@ def with_dashboard(folder, port, *settings, robot=ROBOT):
 
 @contextlib.asynccontextmanager
 async def pages(port):
-    """A function that opens connected pages; all end together."""
+    """Yield a function that opens connected pages; all pages are closed at the end."""
     async with aiohttp.ClientSession() as session:
 
         async def connected(token=TOKEN, acknowledges=True, **headers):
