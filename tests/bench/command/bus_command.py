@@ -76,7 +76,7 @@ def writer() -> Iterator[Any]:
 
 
 @contextlib.contextmanager
-def _hogs_of_bus(count: int) -> Iterator[None]:
+def _hogs_of_bus() -> Iterator[None]:
     """A motord-bus that starts in this block can start busy threads: HOGS of them, at SIGUSR1."""
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = os.pathsep.join([str(HOGGED), *([before] if before else [])])
@@ -106,7 +106,7 @@ def delays_ms(hogs: int, bus_hogs: int, count: int, seed: int) -> tuple[list[flo
     with (
         tempfile.TemporaryDirectory() as made,
         slave(SPEC_GAP_US) as judge,
-        _hogs_of_bus(bus_hogs),
+        _hogs_of_bus(),
         daemon(Path(made), judge.port, hogs or bus_hogs, INPUT, begin=False) as robot,
         writer() as write,
     ):
