@@ -52,7 +52,7 @@ static void the_end_comes_even_when_wheels_turn_and_nothing_can_be_sent(void)
     CHECK(w.machine.end.stage == END_SILENT);
 }
 
-/* Between the order to enable it and its arming. */
+/* The line ends after the order to enable the board, and before its arming. */
 static void a_board_that_was_enabled_and_is_not_armed_is_switched_off(void)
 {
     begin();
@@ -84,7 +84,7 @@ static void the_end_waits_no_longer_than_it_may(void)
     CHECK(w.machine.end.stage == END_SILENT);
 }
 
-/* Until the line is silent; cut off until then. */
+/* Shuts the line down and waits until it is silent. The wire is cut until `cut_until_ns`. */
 static board_report ends(int64_t cut_until_ns)
 {
     board_report report;
@@ -107,7 +107,8 @@ static void a_board_that_was_seen_without_power_is_not_waited_for(void)
     CHECK(ends(INT64_MAX).stop_waits == 0 && w.now_ns < asked_ns + 2 * w.table.period_ns + 10 * MS);
 }
 
-/* A board that turns and whose wire is cut. Returns the time. */
+/* The wire of a board that turns is cut. Returns the time, when the board is unresponsive on
+ * request. */
 static int64_t cut_off(bool unresponsive)
 {
     begin();
@@ -152,8 +153,8 @@ static void the_end_waits_a_little_longer_for_a_board_that_sends_and_does_not_re
           w.now_ns < asked_ns + END_OFF_NS + 530 * MS);
 }
 
-/* Its power-off has been sent, and the board has been silent for this time when the end's time
- * is over. */
+/* The time of the end is over. The power-off has been sent, and the board has been silent for
+ * `silent_ns`. */
 static void ends_after_a_silence_of(int64_t silent_ns)
 {
     begin();

@@ -68,7 +68,7 @@ static void feedback_is_counts_and_si_with_the_kernel_s_stamp(void)
     arm(0);
     report_motion(0, 1.0F, 0.0F);
     w.now_ns += MS;
-    report_motion(0, -0.25F, 3.0F); /* so soon after the other it adds nothing new */
+    report_motion(0, -0.25F, 3.0F); /* too soon after the last frame to count */
     CHECK(w.machine.joint[0].feedback.count == 1000);
     w.now_ns += 6 * MS;
     report_motion(0, -0.25F, 3.0F);
@@ -108,7 +108,7 @@ static void received_frames_cause_no_frames_to_be_sent(void)
         w.now_ns += MS / 100;
         step();
     }
-    CHECK(w.sent_count <= 2); /* 10 ms are one cycle, or two */
+    CHECK(w.sent_count <= 2); /* at most the frames of two cycles */
 }
 
 static void held_bytes_are_sent_with_the_set_points(void)
@@ -278,7 +278,7 @@ static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
     begin_with(1);
     arm(0);
     go_on(50 * MS);
-    w.now_ns += 600 * MS; /* nothing was sent: it has stopped by itself, if it can */
+    w.now_ns += 600 * MS; /* without frames for so long, a drive with a watchdog stops */
     report_state(0, 8);
     report_motion(0, 1.0F, 1.0F);
     step();
@@ -444,7 +444,7 @@ static void a_table_that_points_outside_of_its_frames_is_refused(void)
     drive->output[0].setpoint[0].place.start_bit = UINT32_MAX;
     CHECK(is_bad());
     begin_with(2);
-    drive->match[1].bytes = 7; /* shorter than what is read in it */
+    drive->match[1].bytes = 7; /* shorter than the values that it holds */
     CHECK(is_bad());
     begin_with(2);
     drive->input[0].field[0].meaning.joint = JOINTS_MAX;
@@ -459,7 +459,7 @@ static void a_table_that_points_outside_of_its_frames_is_refused(void)
     drive->match[0].input = 3;
     CHECK(is_bad());
     begin_with(2);
-    drive->output[0].packet.bytes = 9; /* of a classic frame */
+    drive->output[0].packet.bytes = 9; /* too long for a classic frame */
     CHECK(is_bad());
 }
 

@@ -23,7 +23,7 @@ def pytest_runtest_logreport(report):
 
 @pytest.fixture(scope="session")
 def simulator(tmp_path_factory):
-    """Simulated drives of the demo robot, started once: an emulated machine needs seconds for it."""
+    """Simulated drives of the demo robot, started once: an emulated machine takes seconds."""
     from cable import ROBOT
     from hardware import simulated
 

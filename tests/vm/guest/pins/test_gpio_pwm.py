@@ -337,7 +337,7 @@ def test_stop_all_ends_what_kill_9_leaves_behind_on_every_bridge(rig, capsys):
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
 
         def held():
-            """Stop the process, if all bridges are on: old set-points may have ended some."""
+            """Stop the process; continue it if a bridge is off, which old set-points may cause."""
             child.send_signal(signal.SIGSTOP)
             os.waitpid(child.pid, os.WUNTRACED)
             if all_forward(rig):

@@ -30,8 +30,8 @@ def drives(simulator):
 
 @pytest.fixture
 def unit(drives):
-    """The unit, running and idle, with drives without faults. It keeps running after a test, because
-    an emulated machine needs ten seconds for a start."""
+    """The unit, running and idle, with drives without faults. It keeps running after a test: an
+    emulated machine needs ten seconds for a start."""
     drives.clear_faults_script()
     with reached(NAME, drives) as unit:
         granted(unit.is_idle, "it is idle", unit.logged)
