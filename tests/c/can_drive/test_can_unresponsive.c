@@ -85,14 +85,15 @@ static void a_probe_that_the_bus_took_in_part_is_sent_again_in_the_next_cycle(vo
     can_drive *drive = table_of(0);
     drive->quick_stop_count = 2;
     drive->quick_stop[1] = drive->quick_stop[0];
-    drive->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)}; /* this one is not taken */
+    drive->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)}; /* the bus does not take
+                                                                            this one */
     restart();
     arm_and_go();
     w.not_taken = CONTROL;
     become_unresponsive();
     forget_sent();
     go_on(50 * MS);
-    CHECK(count_sent(SPEED) >= 8); /* two a cycle: its stop and its zero */
+    CHECK(count_sent(SPEED) >= 8); /* two in each cycle: stop and zero */
     w.not_taken = 0;
     go_on(12 * MS);
     CHECK(count_sent(CONTROL) == 1);
@@ -144,7 +145,8 @@ static void a_newly_set_up_drive_has_the_time_of_its_silence_for_its_first_frame
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 2);
 }
 
-/* Its frames arrive all the time, but it is set up again only when it answers its hello. */
+/* The drive's frames arrive all the time, but it is set up again only when it has answered its
+ * hello. */
 static void a_drive_with_a_hello_is_back_when_it_has_answered(void)
 {
     begin_with(1);
@@ -164,7 +166,7 @@ static void a_drive_with_a_hello_is_back_when_it_has_answered(void)
     become_unresponsive();
     w.silent = w.powered = false;
     go_on(500 * MS);
-    /* its old answer counts no more */
+    /* its old answer does not count any more */
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 3);
     (void)say(ANSWER, answer, 8);
     go_on(20 * MS);

@@ -55,7 +55,7 @@ static void disable_itself(void)
     w.powered = false;
 }
 
-/* It does as it is set here, whatever it is sent. */
+/* The drive keeps the power that is set here, whatever it is sent. */
 static void stay_enabled(void)
 {
     w.powered = true;
