@@ -44,7 +44,7 @@ static _Atomic int held;
 static _Atomic uint64_t deliveries;
 static _Atomic bool over;
 
-/* the functions of the DDS library that motord calls */
+/* ------------------------------------------- the functions of the DDS library that motord calls */
 dds_listener *dds_create_listener(void *arg);
 void dds_lset_data_available(dds_listener *listener, void (*call)(int32_t reader, void *arg));
 int32_t dds_set_listener(int32_t reader, const dds_listener *listener);

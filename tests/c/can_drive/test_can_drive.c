@@ -22,7 +22,7 @@ static void hold(uint32_t byte, uint8_t value)
     step();
 }
 
-/* frames to the drive */
+/* ------------------------------------------------------------------ frames to the drive */
 static void a_drive_that_gets_all_its_frames_is_never_left_alone(void)
 {
     begin_with(1);
@@ -140,7 +140,7 @@ static void motion_that_only_some_frames_carried_is_followed_by_zero(void)
     CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->state.sent_motion);
 }
 
-/* power */
+/* -------------------------------------------------------------------------------- power */
 static void a_drive_with_power_that_was_not_armed_is_switched_off_and_reported_once(void)
 {
     begin_with(1);
@@ -277,7 +277,7 @@ static void switching_off_takes_the_power_of_a_powered_drive_and_sends_others_no
     CHECK(w.sent_count == 1 && w.sent[0].id == CONTROL);
 }
 
-/* feedback */
+/* ----------------------------------------------------------------------------- feedback */
 static void reports_from_before_a_change_do_not_count_after_it(void)
 {
     begin_with(1);
@@ -344,7 +344,7 @@ static void after_the_next_arming_it_may_wait_again_for_the_core(void)
     CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0);
 }
 
-/* notifications of asyncio */
+/* ------------------------------------------------------------- notifications of asyncio */
 static void asyncio_is_notified_of_each_change(void)
 {
     begin_with(1);

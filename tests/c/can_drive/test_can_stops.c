@@ -113,7 +113,7 @@ static void a_drive_that_was_armed_is_stopped_after_a_reopening_even_when_it_is_
     CHECK(count_sent(SPEED) == 0); /* the drive has not been turning since then */
 }
 
-/* frames in the queue of a dead bus */
+/* ---------------------------------------------------- frames in the queue of a dead bus */
 static uint32_t moving(uint32_t drive)
 {
     uint32_t count = 0;

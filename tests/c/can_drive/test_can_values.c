@@ -78,7 +78,7 @@ static const joint_feedback *feedback_of(uint32_t joint)
     return &w.machine.joint[joint].feedback;
 }
 
-/* set-points */
+/* --------------------------------------------------------------------------- set-points */
 static void both_wheels_are_sent_in_one_frame(void)
 {
     begin_with_two_wheels();
@@ -130,7 +130,7 @@ static void each_kind_of_set_point_is_sent_with_its_own_scale(void)
     }
 }
 
-/* feedback */
+/* ----------------------------------------------------------------------------- feedback */
 static void numbers_without_their_top_bit_are_positive(void)
 {
     const uint8_t data[2] = {0x00, 0x40};

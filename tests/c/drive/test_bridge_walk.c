@@ -26,7 +26,7 @@ static void begin_bridge(void)
         .event_fd = -1,
         .period_ns = MS,
         .setpoint_timeout_ns = 100 * MS,
-        .stopping_ns = 1000 * MS, /* the wheel turns */
+        .stopping_ns = 1000 * MS, /* a second, because the wheel keeps turning */
         .joint_count = 1,
         .output_count = 1,
         .joint = {{.sign = 1.0, .rest_mode = BRIDGE_BRAKE}},

@@ -95,7 +95,7 @@ static void once(const uint8_t *given, size_t size)
         judge(&frame, echo, bytes, received_bytes,
               rtu_find_answer(&frame, frame.request, echo, bytes, received_bytes));
     }
-    /* at the very end of its room: a look beyond the last byte is seen by the sanitizer */
+    /* at the very end of its memory: the sanitizer sees a read beyond it */
     static uint8_t room[FUZZ_MAX + 64];
     uint8_t *last = room + sizeof room - count;
     memcpy(last, bytes, count);

@@ -3,7 +3,7 @@
 #include "drive_walk.h"
 #include "line_wire.h"
 
-/* It also reports whether it has power and has kept its set-up. */
+/* The drive also reports whether it has power and has kept its set-up. */
 static void begin_line(void)
 {
     begin_with(1, 0);
