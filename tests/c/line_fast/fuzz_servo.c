@@ -14,8 +14,8 @@ enum { FUZZ_MAX = 224, SERVOS = 3 };
 static const int64_t STEP_MS = 1000000;
 
 /* ------------------------------------------------------------------------------ packets */
-/* CRC-16 of the manual's polynomial, a bit at a time from the other end: reflected in, reflected
- * out. */
+/* CRC-16 with the manual's polynomial, but in reflected form and bit by bit, so that it checks the
+ * other one. */
 static uint16_t other_crc(const uint8_t *bytes, uint32_t count)
 {
     uint32_t crc = 0;
@@ -96,7 +96,7 @@ static void choose_request(uint8_t choice)
     }
 }
 
-/* Each goal that is not zero is one that its servo may get now. */
+/* Each goal that is not zero goes to a servo that may move now. */
 static void judge(const uint8_t *packet)
 {
     uint32_t bytes = 4U + packet[3];
@@ -158,7 +158,7 @@ static bool stop_waits(void)
     return waits && s.machine.end.stage == END_NOT;
 }
 
-/* Now every servo answers and nothing is lost: each stop ends, even after late replies. */
+/* From now on every servo answers and no byte is lost: each stop ends, even after late replies. */
 static void stops_end(void)
 {
     s.silent = 0;
