@@ -16,7 +16,7 @@ static inline void put_tape(const uint8_t *data, size_t size)
     tape_left = size;
 }
 
-/* 0 when it is over. */
+/* Returns the next byte of the tape, 0 at its end. */
 static inline uint8_t next_byte(void)
 {
     if (tape_left == 0) {
@@ -26,7 +26,7 @@ static inline uint8_t next_byte(void)
     return *tape++;
 }
 
-/* READY is reached from OFF or BACK by its request alone; both requests may have come since the
+/* From OFF or BACK, only a request of READY leads to READY. Both requests may have come since the
  * last look. */
 static inline void judge_mode(uint32_t before, uint32_t now, const mode_request *asked)
 {

@@ -9,7 +9,7 @@
 
 static late_log log_now;
 
-/* A tick that began now, and whose deadline was so long ago. */
+/* Makes a tick that begins now, `after_ns` after its deadline. */
 static late_tick one_tick(int64_t after_ns)
 {
     int64_t now_ns = clock_now_ns();

@@ -19,7 +19,7 @@ static inline speed_loop_config torque_loop(double gain_n_m_s_per_rad, double in
     };
 }
 
-/* One step of it, by its own gains and limits. */
+/* Makes one step of the loop with its own gains and limits. */
 static inline double loop_step(speed_loop_state *state, const speed_loop_config *config,
                                double want_rad_s, double measured_rad_s, double dt_s)
 {

@@ -27,7 +27,7 @@ static long now_ms(void)
     return now.tv_sec * 1000 + now.tv_nsec / 1000000;
 }
 
-/* As ArduinoJson reads a number of this name; 0 where it is missing. */
+/* Reads the number with this name like ArduinoJson; 0 if it is missing. */
 static double number_of(const char *line, const char *name)
 {
     const char *found = strstr(line, name);
@@ -76,7 +76,7 @@ static void say(int fd)
                  "\"my\":-87,\"mz\":400,\"odl\":%ld,\"odr\":%ld,\"v\":%d}\r\n",
                  left_m_s, right_m_s, (long)(left_m * 100.0), (long)(right_m * 100.0), 1187);
     if (write(fd, line, (size_t)size) < 0) {
-        usleep(1000); /* no program has the other side open */
+        usleep(1000); /* no program has opened the other end */
     }
 }
 

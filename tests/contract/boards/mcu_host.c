@@ -112,7 +112,7 @@ int main(int argc, char **argv)
         }
         const size_t length = motord_board_feedback(&board, at_us, measured, &health, sent);
         if (length > 0 && !mute && write(fd, sent, length) < 0) {
-            usleep(1000); /* no program has the other side open */
+            usleep(1000); /* no program has opened the other end */
         }
         put(&board);
     }

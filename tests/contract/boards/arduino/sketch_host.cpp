@@ -11,7 +11,7 @@
 
 #include "Arduino.h"
 
-/* A name of its own for each: the sketch may have the same. */
+/* In a struct of its own, because the sketch may use the same names. */
 static struct {
     uint32_t now_us, watchdog_ms;
     int levels[64], room = 127;
