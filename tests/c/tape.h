@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * tape.h: a fuzz target's input as choices, one byte each, and what holds for the modes of every
+ * tape.h: the input of a fuzz target as choices, one byte each, and rules for the modes of every
  * machine. */
 #ifndef MOTORD_TESTS_TAPE_H
 #define MOTORD_TESTS_TAPE_H

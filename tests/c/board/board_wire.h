@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_wire.h: a board's machine in virtual time, with the reference board at the other end of
- * the wire. */
+ * board_wire.h: the machine of a board in virtual time, with the reference board at the other end
+ * of the wire. */
 #ifndef MOTORD_TESTS_BOARD_WIRE_H
 #define MOTORD_TESTS_BOARD_WIRE_H
 

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_board.c: a board's machine with random bytes, requests and set-points. For any input,
- * motion is sent only to an armed board and only while the core requests it, frames leave no
- * faster than cycles and stops, and the end comes. In each dialect. */
+ * fuzz_board.c: the machine of a board with random bytes, requests and set-points, in each dialect.
+ * For any input, motion is sent only to an armed board and only while the core requests it, no
+ * frames are sent except in cycles and stops, and the line ends. */
 #include "board_wire.h"
 #include "tape.h"
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board's machine in virtual time: what is sent, which feedback counts, and when the board is
- * stopped. */
+ * The machine of a board in virtual time: the frames that it sends, which feedback counts, and when
+ * it stops the board. */
 #include "board_wire.h"
 
 /* --------------------------------------------------------------------------- frames out */

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_clock: the time of feedback, from the board's own clock. */
+ * test_board_clock: the time of feedback, computed from the board's own clock. */
 #include <string.h>
 
 #include "board_machine.h"

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board's drive at its bounds: the last moment that is good, the first that is not. */
+ * The times of a board's drive at their bounds: the last good nanosecond and the first bad one. */
 #include "board_wire.h"
 
 static board_machine *m = &w.machine;

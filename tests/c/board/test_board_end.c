@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How the line of a board ends, in virtual time: braked, switched off, silent. */
+ * The end of a board's line in virtual time: the board is braked and switched off, and the line is
+ * silent. */
 #include "board_wire.h"
 
 static void the_end_brakes_switches_off_and_is_silent(void)

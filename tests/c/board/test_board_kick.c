@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board whose line the loop has woken: new set-points do not wait for their cycle. */
+ * The loop wakes the line of a board: new set-points do not wait for their cycle. */
 #include "board_wire.h"
 
 /* The loop wakes the line with new set-points. */

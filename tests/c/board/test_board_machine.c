@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_machine: which frames a board reports as received, and what a line remembers of
- * those it sent. */
+ * test_board_machine: which frames a board reports as received, and which of its frames a line
+ * remembers. */
 #include <stdlib.h>
 
 #include "board_wire.h"

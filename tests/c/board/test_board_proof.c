@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * When the last power-off of a board's line counts as received: by what the board reports, in
- * frames and in text. */
+ * When the last power-off of a board's line counts as received, from the board's reports in frames
+ * and in text. */
 #include "board_wire.h"
 
 /* ---------------------------------------------------------------- before the end begins */

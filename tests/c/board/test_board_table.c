@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Which tables of a board are refused, and by which name: each number at the edge of what it may
- * be, and beyond. */
+ * Which tables of a board are refused, and which field is named: each number at the end of its
+ * range and beyond. */
 #include "board_wire.h"
 
 static const int64_t LONGEST_NS = INT64_C(100000000000);

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board's thread on a socket pair, with the reference board, asyncio's side and the loop's side
- * in threads of their own: for the sanitizers. Nothing is shared but what api_board.h and the
- * exchange pass on. */
+ * The thread of a board on a socket pair. The reference board, asyncio and the loop are threads,
+ * too, so that sanitizers find data races. The threads share only what api_board.h and the exchange
+ * pass on. */
 #include <errno.h>
 
 #include "board_wire.h"

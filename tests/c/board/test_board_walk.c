@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board in every mode, and every event. */
+ * A board in every mode, and the effect of every event. */
 #include "board_wire.h"
 #include "drive_walk.h"
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_board_frame: frames of docs/mcu-frame.md, built and parsed, and input that is not a frame.
- * Each buffer is as long as its content, so that a sanitizer sees one byte more. */
+ * Each buffer has the length of its content, so that a sanitizer sees an access beyond it. */
 #include <stdlib.h>
 #include <string.h>
 

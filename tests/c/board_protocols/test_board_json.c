@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_json: lines that are JSON objects, read by the names of their members. Buffers are as
- * long as what is in them, so that a sanitizer sees one byte more. */
+ * test_board_json: lines that are JSON objects, read by the names of their members. Each buffer has
+ * the length of its content, so that a sanitizer sees an access beyond it. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

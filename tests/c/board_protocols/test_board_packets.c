@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_packets: packets of the hoverboard FOC firmware, byte by byte, and how a stream is
- * found again. Buffers are as long as what is in them, so that a sanitizer sees one byte more. */
+ * test_board_packets: packets of the hoverboard FOC firmware, byte by byte, and how a receiver
+ * finds the next packet in a stream. Each buffer has the length of its content, so that a sanitizer
+ * sees an access beyond it. */
 #include <stdlib.h>
 
 #include "board_wire.h"

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_sabertooth: packets of one Sabertooth and of several on a wire, byte by byte. Buffers
- * are as long as what is in them, so that a sanitizer sees one byte more. */
+ * test_board_sabertooth: packets of one Sabertooth and of several on a wire, byte by byte. Each
+ * buffer has the length of its content, so that a sanitizer sees an access beyond it. */
 #include <stdlib.h>
 
 #include "board_wire.h"

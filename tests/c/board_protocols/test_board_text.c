@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_text: lines of text, written and read by a template. Buffers are as long as what is in
- * them, so that a sanitizer sees one byte more. */
+ * test_board_text: lines of text, written and read by a template. Each buffer has the length of its
+ * content, so that a sanitizer sees an access beyond it. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_values: set-points into a payload, a payload into feedback, number by number. */
+ * test_board_values: the conversion of set-points to a payload, and of a payload to feedback. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * An input of ROS 2 ends while commands arrive, in every order in which lease and listener may
- * end: after it nothing is sent or notified. This program replaces Cyclone's library:
+ * An input of ROS 2 ends while commands arrive, with lease and listener ending in either order:
+ * after that it sends and notifies nothing. This program replaces the library Cyclone DDS:
  * receiver_library finds its functions here. */
 #include <errno.h>
 #include <poll.h>

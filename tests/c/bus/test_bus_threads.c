@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Two threads command under one lease while it changes hands: the daemon sees each lease's numbers
- * grow one by one. A thread that holds the lock has the priority of the one that waits for it. */
+ * Two threads command under one lease while the lease changes: the daemon sees the sequence numbers
+ * of each lease grow. A thread that holds the lock has the priority of the thread that waits for
+ * it. */
 #include <errno.h>
 #include <poll.h>
 #include <pthread.h>

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_wire.h: a bus's machine in virtual time, with drives that may be silent. */
+ * can_wire.h: the machine of a CAN bus in virtual time, with drives that may be silent. */
 #ifndef MOTORD_TESTS_CAN_WIRE_H
 #define MOTORD_TESTS_CAN_WIRE_H
 

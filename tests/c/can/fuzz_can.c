@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_can.c: a bus's machine with random drives, jobs, requests and set-points, on a bus that
- * takes frames at random. For any input, motion is sent only to an armed drive and only while the
- * core requests it, a stop is sent at once or with the first look at which the bus takes it, a job
- * that was overtaken by a stop is not sent, and the end comes. */
+ * fuzz_can.c: the machine of a CAN bus with random drives, jobs, requests and set-points, on a bus
+ * that takes frames at random. For any input, motion is sent only to an armed drive and only while
+ * the core requests it, a stop is sent at once or in the first look in which the bus takes it, a
+ * job that was overtaken by a stop is not sent, and the line ends. */
 #include "can_wire.h"
 #include "tape.h"
 

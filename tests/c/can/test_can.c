@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A CAN bus's machine in virtual time: what is sent, which feedback counts, and when drives are
- * stopped. */
+ * The machine of a CAN bus in virtual time: the frames that it sends, which feedback counts, and
+ * when it stops drives. */
 #include "can_wire.h"
 
 /* ------------------------------------------------------------------------------- values */

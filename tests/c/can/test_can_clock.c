@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus's thread and the wall clock, whose stamps the kernel puts on frames: it may be set while
- * they are in transit. */
+ * The thread of a CAN bus and the wall clock, which the kernel uses to stamp frames. The clock may
+ * be set while frames are in transit. */
 #include <errno.h>
 #include <linux/can.h>
 #include <sys/syscall.h>

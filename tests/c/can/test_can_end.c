@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How a bus ends: a power-off that the bus has taken is not one that the drive has got. */
+ * The end of a CAN line: a power-off that the bus has taken may not have reached the drive. */
 #include "can_wire.h"
 
 static const int64_t END_NS = 480 * 1000000, REPORT_END_NS = 980 * 1000000;

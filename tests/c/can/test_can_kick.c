@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives on a bus whose line the loop has woken: new set-points do not wait for their cycle. */
+ * The loop wakes the line of a CAN bus: new set-points do not wait for their cycle. */
 #include "can_wire.h"
 
 /* The loop wakes the line. The first joint has another set-point than the others. */

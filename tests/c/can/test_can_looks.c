@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus between its cycles: how soon it looks again, jobs that wait, what asyncio gets, and an
- * end with several drives. */
+ * A CAN bus between its cycles: the time of the next look, jobs that wait, notifications of
+ * asyncio, and an end with several drives. */
 #include "can_wire.h"
 
 static void begin_with_a_slow_cycle(void)

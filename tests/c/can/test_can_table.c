@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Which tables of a CAN bus are refused, and by which name: each number at the edge of what it
- * may be, and beyond. */
+ * Which tables of a CAN bus are refused, and which field is named: each number at the end of its
+ * range and beyond. */
 #include <float.h>
 
 #include "can_wire.h"

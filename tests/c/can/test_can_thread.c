@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus's thread on a socket pair, with asyncio's side and the loop's side in threads of their own:
- * for the sanitizers. Nothing is shared but what api_can.h and the exchange pass on. */
+ * The thread of a CAN bus on a socket pair. Asyncio and the loop are threads, too, so that
+ * sanitizers find data races. The threads share only what api_can.h and the exchange pass on. */
 #include <errno.h>
 #include <linux/can.h>
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_position_rig.h: a drive on a bus whose joint goes to positions. */
+ * can_position_rig.h: a drive on a CAN bus whose joint takes positions. */
 #ifndef MOTORD_TESTS_CAN_POSITION_RIG_H
 #define MOTORD_TESTS_CAN_POSITION_RIG_H
 

@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a CAN bus at the very edge of each of its times: still good, and too late a
- * nanosecond later. */
+ * Each time of a drive on a CAN bus at its bound: still good, and too late one nanosecond later. */
 #include "can_wire.h"
 
 enum { SLOW = 0x610, PROBE = 0x620, OFF_WORD = 0x700 };

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus, step by step: which frames it is sent, when state is cleared, and what
- * asyncio gets. */
+ * One drive of a CAN bus, step by step: which frames it is sent, when its state is cleared, and
+ * when asyncio is notified. */
 #include "can_wire.h"
 
 enum { SECOND = 0x700 };

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Positions on a CAN bus: a drive without power gets its own position, one that must not move
- * gets nothing. */
+ * Positions on a CAN bus: a drive without power gets its own position; a drive that must not move
+ * gets no target. */
 #include <math.h>
 
 #include "can_position_rig.h"

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_can_steps: one drive of a bus by itself: what each request and each look sets, keeps and
- * forgets. */
+ * test_can_steps: one drive of a CAN bus: which state each request and each look sets, keeps and
+ * clears. */
 #include "can_wire.h"
 
 static can_drive_state *drive;

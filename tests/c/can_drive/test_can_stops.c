@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A drive that turns, and a bus that takes nothing just when it has to be stopped. */
+ * A drive turns, and the CAN bus takes no frames when the drive has to be stopped. */
 #include "can_wire.h"
 
 static void drive_off_on_a_full_bus(void)

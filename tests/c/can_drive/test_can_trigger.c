@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives that take a target with a bit, and acknowledge it. */
+ * Drives that take a target when a bit triggers them, and acknowledge it. */
 #include "can_position_rig.h"
 
 /* The trigger is a bit of the last byte. The drive sets bit 4 of its state when it has taken the

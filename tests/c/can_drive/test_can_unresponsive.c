@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus: how it is polled, when it counts as unresponsive, and what is sent to one
- * that may still receive. */
+ * One drive of a CAN bus: how it is polled, when it counts as unresponsive, and which frames it is
+ * sent then, because it may still receive. */
 #include "can_wire.h"
 
 enum { ASK = 0x600, SLOW = 0x610, PROBE = 0x620 };

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a drive of two wheels on a CAN bus is sent in one frame, and how its reports are read. */
+ * A drive with two wheels on a CAN bus: set-points in one frame, and how its reports are read. */
 #include "can_wire.h"
 
 enum { SECOND = 0x410, HEALTH = 0x510, POWERS = 0x520, HARMLESS = 4 };

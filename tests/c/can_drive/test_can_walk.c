@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A drive on a CAN bus in every mode, and every event. */
+ * A drive on a CAN bus in every mode, and the effect of every event. */
 #include "can_wire.h"
 #include "drive_walk.h"
 

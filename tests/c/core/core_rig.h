@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * core_rig.h: a base of four wheels around the core. Wheels follow their set-points; time goes
- * by ticks. */
+ * core_rig.h: the core with a base of four wheels, which follow their set-points. Time advances by
+ * ticks. */
 #ifndef MOTORD_TESTS_CORE_RIG_H
 #define MOTORD_TESTS_CORE_RIG_H
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_config: which configurations are refused, and by which name: numbers out of their
- * range, wheels that determine no motion, bases with modules, joints without a base. */
+ * test_config: which configurations are refused, and which field is named: numbers out of their
+ * range, wheels that do not determine a motion, bases with modules, joints without a base. */
 #include "steered_bases.h"
 
 #include <errno.h>

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The core as a whole: drives with turns, faults and stops under each action, and hostile
- * numbers everywhere. */
+ * The core as a whole: drives with turns, faults and stops with each action, and hostile numbers
+ * everywhere. */
 #include "core_rig.h"
 
 #include <float.h>

@@ -1,7 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Speed loops of wheels whose drives take a duty, in the core: in place of the open-loop map, by
- * gains that change while the robot moves, and back to the map where the feedback cannot be
- * trusted. */
+ * Speed loops in the core for drives that take a duty: they replace the open-loop map, their gains
+ * change while the robot moves, and the map returns when the feedback cannot be trusted. */
 #include "core_rig.h"
 
 #include <string.h>

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_lost: numbers that the core has lost, wheels that it doubts, and what it does not
- * learn from motion. */
+ * test_core_lost: numbers of the core that are not finite any more, wheels with implausible
+ * feedback, and a gyro that learns its zero only at rest. */
 #include "steered_bases.h"
 
 static const double LOST[] = {NAN, INFINITY, -INFINITY};

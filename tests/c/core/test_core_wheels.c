@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_wheels: from a twist to what leaves for the drives, in the ticks in which something
+ * test_core_wheels: from a twist to the set-points of the drives, in ticks in which something
  * changes. */
 #include "steered_bases.h"
 #include "torque_loop.h"

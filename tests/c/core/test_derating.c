@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Derating by temperature, current and voltage: factor, smoothing, what the base does, and what the
- * page shows; since when each reason holds. */
+ * Derating by temperature, current and voltage: its factor, its smoothing, its effect on the base,
+ * and its report on the state page with the time since which it holds. */
 #include "core_rig.h"
 
 static const derating_config HOT = {.range = {{60.0, 80.0}, {0.0, 0.0}, {0.0, 0.0}}};

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_goal: the twist that a base ramps to: what was commanded, within the limits of the base
- * and its wheels, and why. */
+ * test_goal: the twist to which a base ramps: the command within the limits of the base and its
+ * wheels, and the reasons. */
 #include "steered_bases.h"
 
 static rig r;

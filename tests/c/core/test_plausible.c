@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_plausible: each check of the feedback by itself, at its edges. */
+ * test_plausible: each check of the feedback alone, at its bounds. */
 #include <math.h>
 
 #include "check.h"

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_walk.h: one table of the mode of a drive after every event in every mode, for the
- * machines of all media. */
+ * drive_walk.h: compares the mode of a drive after every event in every mode with
+ * drive_walk_table.h, for the machines of all media. */
 #ifndef MOTORD_TESTS_DRIVE_WALK_H
 #define MOTORD_TESTS_DRIVE_WALK_H
 

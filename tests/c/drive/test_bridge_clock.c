@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The thread of a line of bridges, on a plain file, when the computer was suspended. */
+ * The thread of a line of bridges, on a plain file, after a suspend of the computer. */
 #include <sys/mman.h>
 #include <sys/syscall.h>
 #include <time.h>

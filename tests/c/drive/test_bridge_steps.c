@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_bridge_steps: the levels of a bridge's pins, step by step and to the nanosecond; and each
- * edge of its config. */
+ * test_bridge_steps: the levels of a bridge's pins, step by step and exact to the nanosecond, and
+ * each bound of its configuration. */
 #include <errno.h>
 #include <float.h>
 #include <math.h>

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The thread of a line of bridges, on a plain file: what the loop and asyncio send it leaves
+ * The thread of a line of bridges, on a plain file: it carries out what the loop and asyncio send
  * before its next cycle. */
 #include <errno.h>
 #include <linux/gpio.h>

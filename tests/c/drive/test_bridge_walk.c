@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A motor on a bridge in every mode, and every event that it has. */
+ * A motor on a bridge in every mode, and the effect of every event that can occur. */
 #include <string.h>
 
 #include "drive_walk.h"

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The rules of when a drive has to stop: every state and every event, against a table. */
+ * The rules of when a drive has to stop: every state and every event, compared with a table. */
 #include "check.h"
 #include "drive_state.h"
 

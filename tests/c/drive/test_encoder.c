@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Every line of encoder.c: the kernel's own event structure through a pipe, a counter's file, and
+ * Every line of encoder.c: structures of kernel events through a pipe, the file of a counter, and
  * the thread of bridges with both. */
 #include <errno.h>
 #include <fcntl.h>

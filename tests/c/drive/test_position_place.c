@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_position_place: which target a joint that takes positions is sent, in the numbers of its
+ * test_position_place: which target is sent to a joint that takes positions, in the numbers of its
  * drive. */
 #include "check.h"
 #include "position_place.h"

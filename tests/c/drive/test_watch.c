@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_watch: when the base may move, and how a move ends. Tables: one field of the input that
- * changes, and its effect. */
+ * test_watch: when the base may move, and how a move ends. Each row of a table is one changed field
+ * of the input and its effect. */
 #include "core_rig.h"
 
 static const change ARMING[] = {

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_watch_rare: several causes in one tick, a second fault after a first, and requests in the
- * middle of a move. */
+ * test_watch_rare: several causes in one tick, a second fault after a first one, and requests in
+ * the middle of a move. */
 #include "core_rig.h"
 
 static void all_causes_of_one_tick_are_reported(void)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_following: joints that take positions and are not where their set-points are. */
+ * test_core_following: joints that take positions and do not follow their set-points. */
 #include "steered_bases.h"
 
 static rig r;

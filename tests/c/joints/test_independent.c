@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_independent: joints without a base, one step of each by its own limits. */
+ * test_independent: single steps of joints without a base, each with its own limits. */
 #include "joints_rig.h"
 
 /* --- commands */

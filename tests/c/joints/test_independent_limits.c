@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_independent_limits: limits of joints without a base that change at run time, and the
- * reasons named by joint. */
+ * test_independent_limits: limits of joints without a base that change at run time, and reasons
+ * that name joints. */
 #include "joints_rig.h"
 
 static bool same(const axis_limits *limits, axis_limits expected)

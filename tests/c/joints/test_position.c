@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_position: one step of a joint to an angle against a search that tries it out, whole
- * motions, and whether it follows. */
+ * test_position: single steps of a joint to an angle, compared with the result of a search; whole
+ * motions; and the check of the following error. */
 #include "steered_bases.h"
 
 static const double DT_S = 0.01;

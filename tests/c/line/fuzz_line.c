@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_line.c: a line's machine with random drives, requests and set-points. For any input,
- * motion is sent only to an armed drive and only while the core requests it, the silence is kept,
- * no value is taken from another's answer, each stop ends, and the end comes. */
+ * fuzz_line.c: the machine of a serial line with random drives, requests and set-points. For any
+ * input, motion is sent only to an armed drive and only while the core requests it, the line keeps
+ * its silence, no value is taken from an answer to another request, each stop ends, and the line
+ * ends. */
 #include <math.h>
 
 #include "line_wire.h"

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_rtu.c: for any bytes received, an answer that is found is valid: its beginning is right, it
- * is complete, and its check sum is right by other arithmetic than the tested one; and a good
- * answer after any garbage is found. */
+ * fuzz_rtu.c: for any received bytes, an answer that is found is valid: it begins correctly, it is
+ * complete, and its check sum, computed by another algorithm, is right. A good answer after any
+ * garbage is found. */
 #include "check.h"
 #include "rtu.h"
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_wire.h: a line's machine on a wire of virtual time, with drives that answer, or do not. */
+ * line_wire.h: the machine of a serial line on a wire in virtual time, with drives that answer or
+ * do not answer. */
 #ifndef MOTORD_TESTS_LINE_WIRE_H
 #define MOTORD_TESTS_LINE_WIRE_H
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line before its first step: no old state is left, each drive has its joints, and drives that
- * may turn are stopped. */
+ * A serial line before its first step: no old state is left, each drive has its joints, and drives
+ * that may turn are stopped. */
 #include <errno.h>
 
 #include "line_wire.h"

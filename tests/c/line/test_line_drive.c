@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_drive: one drive of a line by itself: what each change of its state sets, keeps and
- * forgets. */
+ * test_line_drive: one drive of a serial line: which state each change sets, keeps and clears. */
 #include "line_wire.h"
 
 static line_drive_state *begin_drive(void)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a line reports of itself and of each drive: every field from its own place, and no other. */
+ * The report of a serial line and of each drive: each field has its own value. */
 #include "line_wire.h"
 
 static line_report report;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_turns: which drive has its turn on a serial line, and when the next look is. */
+ * test_line_turns: which drive of a serial line has its turn, and when the next look is. */
 #include "line_wire.h"
 
 static const int64_t RESTING_NS = 50 * MS, MOVING_NS = 10 * MS;

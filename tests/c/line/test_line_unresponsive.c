@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What is sent to a drive of a line that does not answer, and when, and how it comes back. */
+ * A drive of a serial line that does not answer: which frames it is sent, when, and how it returns.
+ * */
 #include "line_wire.h"
 
 enum { EXTRA = 0x40, SENT_MAX = 256 };

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What goes into the requests of a serial line, and what is read from its replies. */
+ * Set-points in the requests of a serial line, and values in its replies. */
 #include <math.h>
 
 #include "line_wire.h"

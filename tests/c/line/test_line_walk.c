@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A drive on a serial line in every mode, and every event. */
+ * A drive on a serial line in every mode, and the effect of every event. */
 #include "drive_walk.h"
 #include "line_wire.h"
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * rtu.c, every line and every border: check sums of the standards, numbers on the wire, and
- * which bytes are an answer. */
+ * Every line and every bound of rtu.c: check sums of the standards, numbers on the wire, and which
+ * bytes are an answer. */
 #include <string.h>
 
 #include "check.h"

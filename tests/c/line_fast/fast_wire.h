@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fast_wire.h: a line's machine on a wire of virtual time, with Dynamixels that answer a fast
- * sync read in one packet. */
+ * fast_wire.h: the machine of a serial line on a wire in virtual time, with Dynamixels that answer
+ * a fast sync read in one packet. */
 #ifndef MOTORD_TESTS_FAST_WIRE_H
 #define MOTORD_TESTS_FAST_WIRE_H
 

@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  * fuzz_servo.c: bus servos and a wire that behave at random. For any input, a status is valid by
- * other arithmetic than the tested one, unstuffing reverses stuffing, motion is sent only to armed
- * servos and only while the core requests it, no value is another servo's, each stop ends, and the
- * end comes. */
+ * another algorithm, unstuffing reverses stuffing, motion is sent only to armed servos and only
+ * while the core requests it, no value is taken from another servo, each stop ends, and the line
+ * ends. */
 #include <math.h>
 
 #include "servo_wire.h"

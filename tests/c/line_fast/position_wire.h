@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * position_wire.h: one drive on a serial line that goes to positions. */
+ * position_wire.h: one drive on a serial line that takes positions. */
 #ifndef MOTORD_POSITION_WIRE_H
 #define MOTORD_POSITION_WIRE_H
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * servo_wire.h: a line's machine on a wire of virtual time, with bus servos that answer one
- * request together. */
+ * servo_wire.h: the machine of a serial line on a wire in virtual time, with bus servos that answer
+ * a group request in turn. */
 #ifndef MOTORD_TESTS_SERVO_WIRE_H
 #define MOTORD_TESTS_SERVO_WIRE_H
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The fast sync read of Dynamixels: all answer in one packet, and plain sync reads follow while
- * one of them fails. */
+ * The fast sync read of Dynamixels: all answer in one packet. Plain sync reads follow while one
+ * servo fails. */
 #include "fast_wire.h"
 
 static void one_packet_has_the_answers_of_all_servos(void)

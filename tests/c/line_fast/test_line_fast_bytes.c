@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The bytes of a fast sync read: in pieces, beside noise, and which check sums count. */
+ * The bytes of a fast sync read: in pieces, next to noise, and which check sums count. */
 #include "fast_wire.h"
 
 static void a_packet_with_a_two_byte_length_has_the_answers_of_all_servos(void)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The cycle of bus servos: one request for all of them, and each answers for itself. */
+ * The cycle of bus servos: one request to all of them, and each of them answers. */
 #include <math.h>
 
 #include "servo_wire.h"

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_group_bytes: what comes after a request to all servos, byte by byte: replies, noise
- * between them, too much. */
+ * test_line_group_bytes: bytes that arrive after a request to all servos: replies, noise between
+ * them, too many bytes. */
 #include "servo_wire.h"
 
 static const int64_t SERVO_MS = 1000000;

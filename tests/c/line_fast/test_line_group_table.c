@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_group_table: which tables of bus servos are refused: what one request cannot carry,
- * what its answers cannot be. */
+ * test_line_group_table: which tables of bus servos are refused, because one request cannot carry
+ * them or their answers cannot be received. */
 #include "servo_wire.h"
 
 static void an_invalid_group_is_refused(void)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Lines of controllers whose answers name no unit and whose zero is regulated: packets of a
+ * Lines of controllers whose answers contain no unit and which hold a speed of zero: packets of a
  * RoboClaw. */
 #include "line_wire.h"
 

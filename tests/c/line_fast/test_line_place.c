@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Where a position on a serial line may begin: in every target of every exchange, and in the
- * table. */
+ * The known position that a target on a serial line needs: in every target of every exchange, and
+ * in the table. */
 #include "position_wire.h"
 
 static void a_request_is_sent_only_when_each_of_its_positions_is_known(void)

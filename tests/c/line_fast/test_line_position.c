@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Positions on a serial line: 0 is a position like any other, so a drive that must not move is
- * sent nothing. */
+ * Positions on a serial line: 0 is a position like any other, so a drive that must not move gets no
+ * target. */
 #include "position_wire.h"
 
 static void a_position_is_scaled_from_its_zero_and_held_within_its_range(void)

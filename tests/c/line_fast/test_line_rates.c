@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What one dead drive costs the others: their rate, and the age of what is known of them. On a
- * wire of virtual time. */
+ * The effect of one dead drive on the others: their rate, and the age of their samples. The wire is
+ * in virtual time. */
 #include "line_wire.h"
 
 enum { DRIVES = 4, DEAD = 3 };

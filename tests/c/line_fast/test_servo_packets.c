@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Packets of bus servos. The bytes are those of the makers' manuals and SDKs, not of our own
- * code. */
+ * Packets of bus servos. Their bytes are from the makers' manuals and SDKs, not from motord. */
 #include <string.h>
 
 #include "check.h"

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_exchange: one request on a serial line, to the nanosecond: how long the line waits,
- * and the result. */
+ * test_line_exchange: one request on a serial line, exact to the nanosecond: how long the line
+ * waits, and the result. */
 #include "line_wire.h"
 
 static const int64_t SENT_NS = 8 * CHARACTER_NS, HOST_NS = 20 * MS;

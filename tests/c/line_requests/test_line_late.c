@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives that answer late, on a wire of virtual time: which request a reply belongs to, and how old
- * its values are. A drive answers in the order of its requests. Its counter is the time itself,
- * in tenths of a millisecond. */
+ * Drives that answer late, on a wire in virtual time: which request a reply belongs to, and how old
+ * its values are. A drive answers in the order of its requests. Its counter is the time, in tenths
+ * of a millisecond. */
 #include <math.h>
 
 #include "line_wire.h"

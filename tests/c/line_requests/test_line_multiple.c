@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Function 16 is acknowledged without its values: a late acknowledgement proves
- * nothing about another value. */
+ * Function 16 is acknowledged without its values: a late acknowledgement proves nothing about
+ * another value. */
 #include "line_wire.h"
 
 enum { MULTIPLE = 16, ARM = 8 };

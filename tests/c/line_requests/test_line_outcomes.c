@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_outcomes: the effect of each answer of a drive, of each failure, and of the frames
+ * test_line_outcomes: the effect of each answer of a drive and of each failure, also of the frames
  * of a stop. */
 #include "line_cycle.h"
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_owed: how late a reply may be, how soon is too soon, and what is learned of a
- * drive's turn-around. */
+ * test_line_owed: how late a reply may be, how soon is too soon, and how the turn-around of a drive
+ * is learned. */
 #include "line_wire.h"
 
 static line_drive_state *drive;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The queue of requests from outside the cycle by itself: its order, its end, what expires, and
- * which request is next. */
+ * The queue of requests from outside the cycle: its order, its end, requests that expire, and which
+ * request is next. */
 #include "line_wire.h"
 
 static void put(uint64_t id, uint32_t drive, uint32_t urgent, int64_t expires_ns)

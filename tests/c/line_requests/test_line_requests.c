@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Requests from outside the cycle, on a wire of virtual time: which one is sent, in which order,
+ * Requests from outside the cycle, on a wire in virtual time: which one is sent, in which order,
  * and which reply it gets. */
 #include "line_wire.h"
 

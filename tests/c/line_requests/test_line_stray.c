@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_stray: bytes that belong to no answer: a late reply, noise, or the echo of our own
- * request. */
+ * test_line_stray: bytes that belong to no answer: a late reply, noise, or the echo of the line's
+ * own request. */
 #include "line_wire.h"
 
 static line_machine *const m = &w.machine;

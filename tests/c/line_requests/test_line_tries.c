@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How often and how long a line tries: reads by turns, deadlines that back off, stops that a
- * drive refuses. */
+ * How often and how long a line tries: reads in turn, deadlines that increase after failures, and
+ * stops that a drive refuses. */
 #include "line_wire.h"
 
 enum { EXTRA = 0x40, EXTRAS = 3, SENT_MAX = 64 };

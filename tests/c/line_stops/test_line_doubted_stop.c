@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_doubted_stop: a stop whose acknowledgements may be answers to older requests, and
- * its neighbours. */
+ * test_line_doubted_stop: a stop whose acknowledgements may be answers to older requests, and its
+ * effect on other drives. */
 #include "line_wire.h"
 
 /* An answer does not name the write that it answers, like those of bus servos. */

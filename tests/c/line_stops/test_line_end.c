@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How a line ends: rest, then power off, then silence, each at its time at the latest. */
+ * The end of a serial line: rest, then power-off, then silence, each with a time limit. */
 #include "line_wire.h"
 
 static const int64_t REST_NS = 350 * 1000000, END_NS = 480 * 1000000,

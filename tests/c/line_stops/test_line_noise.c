@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line that is never silent: stops are sent all the same, and its drives become unresponsive. */
+ * A line that is never silent: stops are sent nevertheless, and its drives become unresponsive. */
 #include "line_wire.h"
 
 static const int64_t LONG_GAP_NS = 20 * MS;

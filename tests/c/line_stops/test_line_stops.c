@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Stops on a line where a drive is missing, on a wire of virtual time: which drive is sent a stop,
+ * Stops on a line where a drive is missing, on a wire in virtual time: which drive is sent a stop,
  * when, and which answers count. */
 #include "line_wire.h"
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_command.c: for any datagram the core gets finite numbers, of a living lease; and without
+ * fuzz_command.c: for any datagram, the core gets finite numbers of a lease that is alive. Without
  * the token no source commands. */
 #include "check.h"
 #include "rt.h"

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Leases in detail: tokens, how old and how new a command may be, which source is held beyond the
- * end of a lease, and what is reported. */
+ * Leases in detail: tokens, the age that a command may have, which source is held beyond the end of
+ * its lease, and the report. */
 #include <math.h>
 #include <string.h>
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_command_joints: datagrams for joints without a base: positions, velocities, and what of
- * them a joint does not take. */
+ * test_command_joints: datagrams for joints without a base: positions, velocities, and those that a
+ * joint does not take. */
 #include "steered_bases.h"
 
 #include <float.h>

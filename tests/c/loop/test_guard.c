@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Every line of guard.c, and the edges of output_guard.c on descriptors that are no GPIO lines. */
+ * Every line of guard.c, and output_guard.c on descriptors that are not GPIO lines. */
 #include <errno.h>
 #include <linux/gpio.h>
 #include <string.h>

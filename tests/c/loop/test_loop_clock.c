@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The loop on clocks that are not as they should be. Each tick's time is the test's. */
+ * The loop on clocks that jump or stop. The test gives each tick its time. */
 #include <math.h>
 #include <string.h>
 #include <sys/syscall.h>

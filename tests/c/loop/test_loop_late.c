@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The log of late ticks. The clock runs, so checks are lower bounds. */
+ * The log of late ticks. The clock is the real one, so the checks are lower bounds. */
 #include <string.h>
 #include <sys/mman.h>
 #include <unistd.h>

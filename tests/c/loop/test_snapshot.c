@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_snapshot: what a tick reports: every field from its own place, and NaN for what is not
+ * test_snapshot: the report of a tick: each field has its own value, and is NaN if it is not
  * measured. */
 #include <stdlib.h>
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What threads share, shared by real threads: for ThreadSanitizer, and for the values themselves.
- * Each value that crosses is made from one number, so half of one and half of another is seen. */
+ * Data that threads share, used by real threads: for ThreadSanitizer, and to check the values. Each
+ * value is made from one number, so a mixture of two values is detected. */
 #include <errno.h>
 #include <math.h>
 #include <pthread.h>

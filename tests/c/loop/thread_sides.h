@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * thread_sides.h: the loop's side of a line's thread, and the socket pair that stands for its
+ * thread_sides.h: the loop's part for the thread of a line, and the socket pair that replaces its
  * medium. */
 #ifndef MOTORD_TESTS_THREAD_SIDES_H
 #define MOTORD_TESTS_THREAD_SIDES_H

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * steered_bases.h: bases whose wheels are steered, of each kind, and joints without a base,
- * around good_config(). */
+ * steered_bases.h: each kind of base with steered wheels, and joints without a base, based on
+ * good_config(). */
 #ifndef MOTORD_TESTS_STEERED_BASES_H
 #define MOTORD_TESTS_STEERED_BASES_H
 

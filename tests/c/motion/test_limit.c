@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_limit: one step of the ramp in numbers, and whole ramps against what is physically the
- * shortest time. */
+ * test_limit: single steps of the ramp, and whole ramps compared with the physically shortest time.
+ * */
 #include <float.h>
 #include <math.h>
 

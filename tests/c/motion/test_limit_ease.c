@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_limit_ease: how fast one step may be where the next ones must be slower, against a search
- * that tries it out. */
+ * test_limit_ease: how large one step may be if the next ones have to be smaller, compared with the
+ * result of a search. */
 #include <math.h>
 
 #include "check.h"

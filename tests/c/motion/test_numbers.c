@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The small pure functions by their exact numbers: angle.c, pwm.c, speed_loop.c. */
+ * The small pure functions of angle.c, pwm.c and speed_loop.c with their exact numbers. */
 #include <math.h>
 #include <string.h>
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Wheels that a torque turns: what the core does with their speed loops, with hostile numbers
- * among them. */
+ * Wheels whose drives take a torque: how the core uses their speed loops, also with hostile
+ * numbers. */
 #include "check.h"
 #include "core.h"
 #include "good_config.h"

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The speed loop by its exact numbers: feed-forward, derivative, limits, and changes without a
+ * The speed loop with its exact numbers: feed-forward, derivative, limits, and changes without a
  * step of the output. */
 #include "check.h"
 #include "torque_loop.h"

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_steer: which curves a steering reaches, where its wheels point, and how fast they roll,
- * in numbers. */
+ * test_steer: which curves a steered base reaches, in which direction its wheels point, and how
+ * fast they roll. */
 #include "steer.h"
 #include "steered_bases.h"
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_steer_steps: what a tick does with wheels that are steered: the base waits for them, and
- * they follow it. */
+ * test_steer_steps: the steered wheels in a tick: the base waits for them, and they follow its
+ * motion. */
 #include "steer.h"
 #include "steered_bases.h"
 

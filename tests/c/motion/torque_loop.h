@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * torque_loop.h: a speed loop that makes a torque, PI alone. */
+ * torque_loop.h: a PI speed loop whose output is a torque. */
 #ifndef TORQUE_LOOP_H
 #define TORQUE_LOOP_H
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_gyro: zero, turn and status of the gyro alone, to the nanosecond, with hostile samples. */
+ * test_gyro: zero, turn and status of the gyro alone, exact to the nanosecond, also with hostile
+ * samples. */
 #include "check.h"
 #include "exchange.h"
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_modules: the motion of a base from its rims and the angles of its wheels, against the
+ * test_modules: the motion of a base from its rims and the angles of its wheels, compared with the
  * equations of the textbook (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). */
 #include "steered_bases.h"
 

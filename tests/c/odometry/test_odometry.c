@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry: counters that are narrow, late or wrong, and the pose against a second
+ * test_odometry: counters that are narrow, late or wrong, and the pose compared with a second
  * implementation. */
 #include "odometry_base.h"
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry_bases: the odometry of bases that strafe and of those that are steered, and what
- * the errors include where wheels fall silent or a gyro begins. */
+ * test_odometry_bases: the odometry of bases that strafe or are steered, and the errors that it
+ * includes when wheels fall silent or a gyro begins. */
 #include "steered_bases.h"
 
 static const int64_t STEP_NS = 10000000;

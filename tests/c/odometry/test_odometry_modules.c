@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What the odometry of steered bases has beside that of others: angles, and arcs between them. */
+ * The parts of the odometry that only steered bases have: angles, and arcs between them. */
 #include "steered_bases.h"
 
 static void an_angle_is_its_counters_distance_from_zero(void)

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_spread: pose and covariances of a base with mecanum wheels by the formulas of the textbook,
- * implemented a second time; what steering without measurement adds, and how uncertain a base
- * becomes whose wheels are silent. */
+ * test_spread: pose and covariances of a base with mecanum wheels, compared with a second
+ * implementation of the textbook's formulas; the error that steering without a measurement adds;
+ * and how uncertain a base becomes whose wheels are silent. */
 #include "steered_bases.h"
 
 enum { WHEELS = 4 };

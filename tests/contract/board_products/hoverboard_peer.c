@@ -1,17 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * Both ends of the hoverboard FOC firmware's UART, written from the firmware's sources alone
- * (EFeru/hoverboard-firmware-hack-FOC: Src/util.c, Src/main.c, Inc/config.h) and sharing nothing
+ * Both ends of the hoverboard FOC firmware's UART. It was written only from the firmware's sources
+ * (EFeru/hoverboard-firmware-hack-FOC: Src/util.c, Src/main.c, Inc/config.h) and shares no code
  * with motord:
  *
- * hoverboard_peer board FD [mixed]              its main board on the master side of a pty. One
+ * hoverboard_peer board FD [mixed]              is the main board, on the master side of a pty. A
  *                                               letter on stdin makes it mute ('m'), spoils its
- *                                               check sums ('x'), or makes it well again ('w').
- *                                               Each change of what it drives is a line on stdout:
- *                                               left and right rpm, 1 when it timed out.
- * hoverboard_peer host PORT FIRST SECOND        a program that drives one: FIRST and SECOND word of
- *                                               the command until stdin ends, then zeros. Each good
- *                                               feedback is a line on stdout: right and left rpm,
+ *                                               check sums ('x'), or makes it normal again ('w').
+ *                                               When its motors change it prints a line: left and
+ *                                               right rpm, and 1 after a time-out.
+ * hoverboard_peer host PORT FIRST SECOND        drives a board: sends FIRST and SECOND word of the
+ *                                               command until stdin ends, then zeros. For each good
+ *                                               feedback it prints a line: right and left rpm,
  *                                               voltage, temperature.
  */
 #include <fcntl.h>

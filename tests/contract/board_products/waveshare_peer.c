@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * waveshare_peer FD: a Waveshare UGV's driver board on the master side of a pty, written from the
- * firmware's sources alone (waveshareteam/ugv_base_ros: json_cmd.h, uart_ctrl.h, ugv_advance.h,
- * movtion_module.h): lines of JSON, wheels that follow at once, odometers in whole centimetres, a
- * heartbeat of 3 s unless T 136 sets another, feedback when T 131 has switched it on. 'm' on stdin
- * makes it mute, 'w' well again. Each change of what it drives is a line on stdout: left and right
- * mm/s, 1 when the heartbeat has stopped it.
+ * waveshare_peer FD: the driver board of a Waveshare UGV, on the master side of a pty. It was
+ * written only from the firmware's sources (waveshareteam/ugv_base_ros: json_cmd.h, uart_ctrl.h,
+ * ugv_advance.h, movtion_module.h): lines of JSON, wheels that follow at once, odometers in whole
+ * centimetres, a heartbeat of 3 s unless T 136 sets another, feedback after T 131 has switched it
+ * on. 'm' on stdin makes it mute, 'w' normal again. When its motors change it prints a line: left
+ * and right mm/s, and 1 after the heartbeat has stopped them.
  */
 #include <fcntl.h>
 #include <poll.h>
