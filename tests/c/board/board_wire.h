@@ -226,7 +226,7 @@ static inline void speak(void)
     }
 }
 
-/* Lets time pass, with one look at the board each millisecond. */
+/* Advances the time, with one look at the board each millisecond. */
 static inline void go_on(int64_t for_ns)
 {
     for (int64_t end_ns = w.now_ns + for_ns; w.now_ns < end_ns;) {

@@ -25,7 +25,7 @@ static void build_hoverboard(int64_t left, int64_t right, uint32_t mixed, uint8_
 static const struct {
     int left, right;
     uint32_t mixed;
-    int first, second; /* on the wire */
+    int first, second; /* words on the wire */
 } COMMANDS[] = {
     {0, 0, 0, 0, 0},
     {100, -200, 0, 100, -200},

@@ -26,7 +26,7 @@ typedef struct {
     can_machine machine;
     int64_t now_ns, wake_ns;
     double velocity_rad_s; /* set-points of the core for all joints */
-    double reported_rad_s; /* what the drives report */
+    double reported_rad_s; /* speed that the drives report */
     uint32_t enabled;      /* set by the core; 2: no set-points come any more */
     bool powered, silent, full;
     uint32_t not_taken; /* an identifier that the bus refuses; 0: it refuses nothing */
@@ -154,7 +154,7 @@ static inline void step(void)
     CHECK(w.wake_ns > w.now_ns); /* a step never requests an immediate wake-up without need */
 }
 
-/* Lets time pass. The drives send their state each 10 ms. */
+/* Advances the time. The drives send their state each 10 ms. */
 static inline void go_on(int64_t for_ns)
 {
     int64_t end_ns = w.now_ns + for_ns, speak_ns = w.now_ns;

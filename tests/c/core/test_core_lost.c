@@ -329,7 +329,7 @@ static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
         for (int ms = 0; ms < 2200; ms++) {
             bool suspended = ms == 2100;
             if (suspended) {
-                r.input.now_ns += 60 * MS_NS; /* of which CLOCK_MONOTONIC counts so much */
+                r.input.now_ns += 60 * MS_NS; /* CLOCK_MONOTONIC counts only this part of it */
                 for (int j = 0; j < 4; j++) {
                     r.position_rad[j] += j % 2 == 0 ? -0.5 : 0.5;
                 }

@@ -59,7 +59,7 @@ static void packets(const uint8_t *data)
     uint8_t *flipped = wire + garbage + data[74] % status.request_bytes;
     *flipped ^= (uint8_t)(1U << data[75] % 8);
     found = rtu_hunt(&asked, wire, garbage, wire, garbage + status.request_bytes);
-    CHECK(found.kind == RECEIVED_MORE); /* CRC-16 sees one bit */
+    CHECK(found.kind == RECEIVED_MORE); /* CRC-16 detects a wrong bit */
 }
 
 /* -------------------------------------------------------------------------- the machine */

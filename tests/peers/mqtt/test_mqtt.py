@@ -24,7 +24,7 @@ LEASE_S = 1.0
 ANSWER_WITHIN_S = 10.0
 READER = ("mosquitto_sub", "-W", f"{DEADLINE_S:.0f}", "-v",
           "-t", "site/r2/answer", "-t", "site/r2/odom")  # fmt: skip
-"""Prints answers and odometry. The first odometry shows that it is subscribed."""
+"""Command that prints answers and odometry. The first line shows that it is subscribed."""
 
 
 @pytest.fixture(scope="module")

@@ -95,7 +95,7 @@ def topic(participant, name, kind, late=""):
 
 
 _keep = []
-"""Keeps DDS entities alive as long as this process: without a reference they end."""
+"""DDS entities that have to live as long as this process: without a reference they end."""
 
 
 def _in_the_graph(participant, node, writer):

@@ -38,7 +38,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 ANSWERS = QoSProfile(depth=100)
 """Queue of the operator's clients. It is so long that only the bridge can lose a message."""
 UNWARNED = pytest.mark.filterwarnings("ignore:Deprecated in favor of:DeprecationWarning")
-"""Ignores a warning: rclpy calls deprecated code of its own when two QoS are incompatible."""
+"""Mark that ignores a warning: rclpy calls its own deprecated code if two QoS are incompatible."""
 MODULE = ("-m", "motord.ros2_rclpy")
 
 

@@ -112,7 +112,7 @@ def test_a_daemon_that_hangs_is_killed_and_comes_back_disarmed(unit):
 
 
 def latched() -> str:
-    """Return the last fault of the journal as JSON; empty if there is none."""
+    """Return the last fault of the journal as JSON; empty without a fault."""
     faults = [entry for entry in journal(UNIT) if entry.get("MOTORD_EVENT") == "fault"]
     return json.dumps(faults[-1]["MOTORD_FAULT"]) if faults else ""
 
