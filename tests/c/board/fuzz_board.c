@@ -299,8 +299,8 @@ static void once(const uint8_t *data, size_t size)
     w.machine.control.shut_down = 1;
     for (int64_t asked_ns = w.now_ns; w.machine.end.stage != END_SILENT; w.now_ns = w.wake_ns) {
         look();
-        /* the last 500 are for a board that sends feedback and does not report that it has no power
-         * */
+        /* the last 500 are for a board that sends feedback and does not report that it has no
+         * power */
         CHECK(w.now_ns <= asked_ns + 1100 * MS);
     }
     look();

@@ -46,8 +46,8 @@ static void a_board_is_left_alone_after_its_watchdog_and_not_before(void)
               m->state.fault_reasons == (late ? DRIVE_FAULT_LEFT_ALONE : 0U));
         CHECK(m->state.stopping == (late == 1) && m->notify == (late == 1));
     }
-    for (int64_t watchdog_ns = 0; watchdog_ns < 2; watchdog_ns++) { /* 0: the board has no watchdog
-                                                                       */
+    for (int64_t watchdog_ns = 0; watchdog_ns < 2; watchdog_ns++) { /* 0: the board has no
+                                                                       watchdog */
         begin_armed();
         m->table.watchdog_ns = watchdog_ns;
         m->last_sent_ns = w.now_ns - 2;

@@ -89,8 +89,8 @@ static void a_received_frame_is_identified_by_its_time_of_sending(void)
     CHECK(knows_after((uint16_t)(newest - 2), 0) == 1 && trips.samples == 3);
 }
 
-/* The clocks differ a little. A frame received long before it was sent is from an earlier program.
- * */
+/* The clocks differ a little. A frame received long before it was sent is from an earlier
+ * program. */
 static void a_frame_received_before_it_was_sent_is_another_frame(void)
 {
     begin_again();

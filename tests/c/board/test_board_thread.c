@@ -7,8 +7,8 @@
 #include "board_wire.h"
 #include "thread_sides.h"
 
-/* Does what the loop of docs/mcu/motord_mcu.ino does. `arg` counts how often a wheel was to turn.
- * */
+/* Does what the loop of docs/mcu/motord_mcu.ino does. `arg` counts how often a wheel was to
+ * turn. */
 static void *sketch(void *arg)
 {
     unsigned long *turned = arg;

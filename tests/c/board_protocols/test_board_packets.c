@@ -355,8 +355,8 @@ static void a_hoverboard_that_falls_silent_is_sent_zero_and_disarmed(void)
     CHECK(w.machine.received == received && w.machine.state.mode == DRIVE_UNRESPONSIVE &&
           sends(0, 0));
     go_on_saying(100 * MS, 0, 0);
-    CHECK(w.machine.state.mode != DRIVE_ARMED && sends(0, 0)); /* it has returned, and is not armed
-                                                                  */
+    CHECK(w.machine.state.mode != DRIVE_ARMED && sends(0, 0)); /* it has returned, and is not
+                                                                  armed */
 }
 
 static void frames_with_a_wrong_sum_are_silence(void)

@@ -191,8 +191,8 @@ static void text_that_is_no_number_is_refused(void)
     }
 }
 
-/* The value of the exponent is beyond any double; the digits bring the number back into the range.
- * */
+/* The value of the exponent is beyond any double; the digits bring the number back into the
+ * range. */
 static void an_exponent_is_read_up_to_the_range_of_numbers(void)
 {
     char line[BOARD_TEXT_MAX + 1] = "0.";

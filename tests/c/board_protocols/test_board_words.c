@@ -8,8 +8,8 @@ static void feedback_is_counts_and_si_in_the_board_s_time(void)
     begin();
     arm_and_turn();
     w.velocity_rad_s = 2.0;
-    w.health.faults = 4; /* a warning: harmless to the core, but it switches the reference board off
-                            */
+    w.health.faults = 4; /* a warning: harmless to the core, but it switches the reference board
+                            off */
     go_on(40 * MS);
     const joint_feedback *feedback = &w.machine.joint[1].feedback;
     CHECK(feedback->voltage_v == 24.0 && isnan(feedback->current_a) && feedback->drive_faults == 0);

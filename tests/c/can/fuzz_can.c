@@ -296,8 +296,8 @@ static void once(const uint8_t *data, size_t size)
     while (w.machine.end.stage != END_SILENT) {
         look();
         w.now_ns = w.wake_ns;
-        /* the last 500 are for a drive that sends frames and does not report that it has no power
-         * */
+        /* the last 500 are for a drive that sends frames and does not report that it has no
+         * power */
         CHECK(w.now_ns <= asked_ns + 1100 * MS);
     }
     look();

@@ -42,8 +42,8 @@ static void identifiers_may_be_in_any_order_and_frames_of_one_are_distinguished_
                                   .begins = {0x45},
                                   .begins_mask = {0xFF},
                                   .input = 1};
-    drive->match[4] = (can_match){.id = ANSWER, .bytes = 8}; /* all other frames of that identifier
-                                                                */
+    drive->match[4] = (can_match){.id = ANSWER, .bytes = 8}; /* all other frames of that
+                                                                identifier */
     drive->match[5] = state;
     drive->input[0].field[0].place.start_bit = 0;
     restart();

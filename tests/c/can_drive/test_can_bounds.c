@@ -308,8 +308,8 @@ static void frames_that_the_bus_does_not_take_are_counted(void)
     uint64_t before = w.machine.tx_full, cycles = w.machine.cycle.count;
     go_on(100 * MS);
     CHECK(w.machine.cycle.count >= cycles + 9);
-    CHECK(w.machine.tx_full - before == w.machine.cycle.count - cycles); /* each cycle has one frame
-                                                                            */
+    CHECK(w.machine.tx_full - before == w.machine.cycle.count - cycles); /* each cycle has one
+                                                                            frame */
 }
 
 static void standing_down_is_a_stop_and_ends_jobs(void)
@@ -456,8 +456,8 @@ static void motion_in_the_second_frame_alone_waits_for_its_cycle(void)
         report_motion(0, 1.0F, 0.0F);
         step();
     }
-    CHECK(count_sent(SPEED) <= 2 && count_sent(OFF_WORD) <= 2); /* at most the frames of two cycles
-                                                                   */
+    CHECK(count_sent(SPEED) <= 2 && count_sent(OFF_WORD) <= 2); /* at most the frames of two
+                                                                   cycles */
 }
 
 int main(void)

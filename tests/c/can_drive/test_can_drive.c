@@ -204,8 +204,8 @@ static void a_drive_without_reported_power_gets_power_offs_periodically_unless_i
     w.reported_rad_s = 0.0;
     w.machine.control.drive[0].arming_until_ns = INT64_MAX;
     go_on(100 * MS);
-    CHECK(!state_of(0)->state.stopping && count_sent(CONTROL) == 1); /* the power-off is sent once
-                                                                        */
+    CHECK(!state_of(0)->state.stopping && count_sent(CONTROL) == 1); /* the power-off is sent
+                                                                        once */
 }
 
 static void time_without_set_points_before_arming_does_not_count_as_left_alone(void)

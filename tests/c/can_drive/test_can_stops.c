@@ -225,8 +225,8 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
               state_of(i)->may_turn);
         CHECK(state_of(i)->state.fault_reasons == 0);
     }
-    CHECK(!state_of(2)->may_turn && !state_of(2)->state.stopping); /* the table has no third drive
-                                                                      */
+    CHECK(!state_of(2)->may_turn && !state_of(2)->state.stopping); /* the table has no third
+                                                                      drive */
     for (uint32_t i = 0; i < w.sent_count; i++) {
         /* speed 0 */
         CHECK(w.sent[i].data[0] == QUICK_STOP && w.sent[i].data[2] == 0 && w.sent[i].data[3] == 0);

@@ -248,8 +248,8 @@ static void a_joint_has_one_module_and_one_role_in_it(void)
 {
     REFUSED(bicycle(), module[0].steering, 3, "module[0].steering");
     REFUSED(bicycle(), module[1].traction, 3, "module[1].traction");
-    REFUSED(bicycle(), module[0].steering, 1, "module[0].steering"); /* the joint takes velocities
-                                                                        */
+    REFUSED(bicycle(), module[0].steering, 1, "module[0].steering"); /* the joint takes
+                                                                        velocities */
     REFUSED(bicycle(), module[1].traction, 2, "module[1].traction"); /* the joint takes positions */
     REFUSED(bicycle(), module[0].traction, 1, "module[1].traction"); /* the joint is in another
                                                                         module */

@@ -274,8 +274,8 @@ static void a_base_without_power_may_be_pushed(void)
     }
 }
 
-/* In the tick in which a wheel runs away, the power goes off, and all reported set-points are zero.
- * */
+/* In the tick in which a wheel runs away, the power goes off, and all reported set-points are
+ * zero. */
 static void a_runaway_ends_all_set_points_in_its_tick(void)
 {
     core_config config = watched();

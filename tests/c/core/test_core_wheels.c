@@ -91,8 +91,8 @@ static void the_slew_of_any_single_duty_slows_the_base(void)
     }
 }
 
-/* Before the base reverses, it slows down for the wheel whose duty may only grow slowly afterwards.
- * */
+/* Before the base reverses, it slows down for the wheel whose duty may only grow slowly
+ * afterwards. */
 static void in_a_reversal_the_wheel_that_has_to_be_eased_is_named(void)
 {
     core_config config = good_config();

@@ -192,8 +192,8 @@ static void derating_by_another_joint_or_measure_has_a_new_start_time(void)
     rig r;
     begin_warm(&r, &config, 70.0, 20.0);
     CHECK(r.shown.derating.by == DERATED_BY_TEMPERATURE && r.shown.derating.joint == 0);
-    r.input.feedback[0].current_a = 1e6; /* so high that it counts in one tick despite the smoothing
-                                            */
+    r.input.feedback[0].current_a = 1e6; /* so high that it counts in one tick despite the
+                                            smoothing */
     tick(&r);
     CHECK(r.shown.derating.by == DERATED_BY_CURRENT && r.shown.derating.joint == 0);
     CHECK(r.shown.derating.since_ns == r.input.now_ns && r.shown.derating.factor == 0.0);

@@ -78,8 +78,8 @@ static void a_goal_is_not_passed_for_any_length_of_its_steps(void)
     }
 }
 
-/* Goals change and end during the move. Each is within the range, and so is the braking distance.
- * */
+/* Goals change and end during the move. Each is within the range, and so is the braking
+ * distance. */
 static void a_range_is_not_left_for_any_length_of_its_steps(void)
 {
     for (int round = 0; round < 200; round++) {

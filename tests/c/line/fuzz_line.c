@@ -177,8 +177,8 @@ static bool stop_waits(void)
     return waits && w.machine.end.stage == END_NOT;
 }
 
-/* The tape is at its end: from now on every drive answers and no byte is lost, so each stop ends.
- * */
+/* The tape is at its end: from now on every drive answers and no byte is lost, so each stop
+ * ends. */
 static void stops_end(void)
 {
     put_tape(NULL, 0);

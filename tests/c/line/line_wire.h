@@ -42,9 +42,9 @@ typedef struct {
     uint32_t motion_sent;  /* frames with a speed that is not zero */
     bool echoes;
     bool babbles;            /* a device sends an unrequested byte each ms */
-    uint32_t unacknowledged; /* bit n: frame n of a power-off is not answered, but takes the power
-                                */
-    bool keeps_power;        /* ... except that the drive keeps its power */
+    uint32_t unacknowledged; /* bit n: frame n of a power-off is not answered, but takes the
+                                power */
+    bool keeps_power;        /* such a frame does not take the power */
     uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` that each drive received */
     uint32_t released[LINE_DRIVES_MAX];   /* of these, the last frame */
     uint32_t sent_off[LINE_DRIVES_MAX];   /* frames sent to each drive, received or not */

@@ -96,8 +96,8 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
     guarded(drive, DRIVE_FAULT_SETPOINTS_OLD, STOP_QUICK);
 }
 
-/* A request in transit to the drive may still get its answer; one to another drive does not help.
- * */
+/* A request in transit to the drive may still get its answer; one to another drive does not
+ * help. */
 static void an_armed_drive_left_alone_longer_than_its_watchdog_is_stopped(void)
 {
     for (uint32_t how = 0; how < 5; how++) {

@@ -354,8 +354,8 @@ static void entries_beyond_the_count_are_not_checked(void)
 static void stop_and_idle_packets_have_their_form(void)
 {
     fill_lists();
-    t.broadcast_stop[0] = frame_of(0, WRITE, CONTROL, DISABLE); /* all drives would answer at once
-                                                                   */
+    t.broadcast_stop[0] = frame_of(0, WRITE, CONTROL, DISABLE); /* all drives would answer at
+                                                                   once */
     CHECK(refused("broadcast_stop[0].reply_bytes"));
     fill_lists();
     d->extra[0].setpoint_count = 1;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A drive of a serial line that does not answer: which frames it is sent, when, and how it returns.
- * */
+ * A drive of a serial line that does not answer: which frames it is sent, when, and how it
+ * returns. */
 #include "line_wire.h"
 
 enum { EXTRA = 0x40, SENT_MAX = 256 };

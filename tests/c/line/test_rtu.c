@@ -171,8 +171,8 @@ static void bytes_that_are_not_the_answer_are_refused(void)
         CHECK(is(find(&frame, 0, reply, 9), RECEIVED_MORE, 0, 0));
     }
     static const uint8_t others[][3] = {{2, 3, 4}, {1, 4, 4}, {1, 3, 2}, {0, 3, 4}};
-    for (uint32_t n = 0; n < 4; n++) { /* correctly sealed, but of another unit, function or length
-                                          */
+    for (uint32_t n = 0; n < 4; n++) { /* correctly sealed, but of another unit, function or
+                                          length */
         memcpy(reply, good_reply(), 9);
         memcpy(reply, others[n], 3);
         rtu_seal(reply, 9, SEAL_CRC16);
@@ -290,8 +290,8 @@ static void an_answer_may_repeat_only_one_byte(void)
     CHECK(is(find(&frame, 0, reply, 8), RECEIVED_MORE, 0, 0));
 }
 
-/* The request and one more byte can look like a sealed reply. On a line with echo that is no reply.
- * */
+/* The request and one more byte can look like a sealed reply. On a line with echo that is no
+ * reply. */
 static void no_answer_begins_within_the_echo(void)
 {
     line_frame frame = reading();

@@ -9,8 +9,8 @@ enum { DIRECTION = 0x40, EXTRA = 0x50, NO_FRAME = 0xffff };
 
 static line_drive_state *drive;
 
-/* A drive that is sent magnitude and direction, and has two extra ranges, which are read in turn.
- * */
+/* A drive that is sent magnitude and direction, and has two extra ranges, which are read in
+ * turn. */
 static inline void begin_directions(double wanted_rad_s)
 {
     begin_with(2, 0);
@@ -50,8 +50,8 @@ static inline void want(double velocity_rad_s)
     w.machine.newest.joint[0].velocity_rad_s = velocity_rad_s;
 }
 
-/* Sends the next frame of the cycle. Returns its register and value; NO_FRAME: the cycle is over.
- * */
+/* Sends the next frame of the cycle. Returns its register and value; NO_FRAME: the cycle is
+ * over. */
 static inline uint32_t sends(void)
 {
     line_frame frame;

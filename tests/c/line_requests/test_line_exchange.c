@@ -306,8 +306,8 @@ static void the_first_read_finds_out_whether_the_adapter_receives_itself(void)
     }
 }
 
-/* Another adapter may be plugged in, so the line has to find out again whether it receives itself.
- * */
+/* Another adapter may be plugged in, so the line has to find out again whether it receives
+ * itself. */
 static void when_no_reply_is_understood_the_echo_is_unknown_again(void)
 {
     for (uint32_t first = 2; first <= 3; first++) {

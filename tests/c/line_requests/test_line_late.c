@@ -237,8 +237,8 @@ static void a_late_drive_does_not_keep_its_neighbour_waiting(bool one_look)
     }
 }
 
-/* A drive that is written in one frame and read in another loses only the reply, without a pause.
- * */
+/* A drive that is written in one frame and read in another loses only the reply, without a
+ * pause. */
 static void a_lost_reply_costs_a_drive_with_two_frames_no_pause(void)
 {
     begin_late(1, false, 5);
@@ -400,8 +400,8 @@ static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer
 static void a_value_that_was_never_read_has_no_stamp(void)
 {
     line_joint_state *joint = &w.machine.joint[0];
-    for (uint32_t reads = 0; reads < 3; reads++) { /* the drive has a count, a velocity, or neither
-                                                      */
+    for (uint32_t reads = 0; reads < 3; reads++) { /* the drive has a count, a velocity, or
+                                                      neither */
         begin_late(1, false, 1);
         joint->counts = reads == 0;
         joint->measures = reads == 1;

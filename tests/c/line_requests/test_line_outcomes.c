@@ -139,8 +139,8 @@ static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
         line_frame frame;
         CHECK(line_next_stop(&w.machine, 0, &frame));
         w.machine.transaction.frame = frame;
-        w.machine.transaction.frame.request[5] ^= (uint8_t)(how == 2); /* a frame of an older stop
-                                                                          */
+        w.machine.transaction.frame.request[5] ^= (uint8_t)(how == 2); /* a frame of an older
+                                                                          stop */
         w.machine.work = WORK_STOP;
         w.machine.end.stage = how == 0 ? 0 : 2;
         w.machine.table.drive[0].tries = 100;

@@ -184,8 +184,8 @@ static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
               drive->held_until_ns == reply_after(2 * 200 * MS));
     }
     begin_asking();
-    line_doubt(&w.machine, 0, w.now_ns + MS); /* no other reply was owed: this one may still arrive
-                                                 */
+    line_doubt(&w.machine, 0, w.now_ns + MS); /* no other reply was owed: this one may still
+                                                 arrive */
     CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
 }
 

@@ -92,8 +92,8 @@ static void a_deadline_doubles_with_each_missing_reply_up_to_the_drive_s_bound(v
     for (uint32_t i = 0; i < 40; i++) {
         go_on();
     }
-    CHECK(w.machine.drive[0].deadline_ns == 10 * MS); /* the drive answers within half a millisecond
-                                                         */
+    CHECK(w.machine.drive[0].deadline_ns == 10 * MS); /* the drive answers within half a
+                                                         millisecond */
     w.mute = 1;
     const int64_t bound_ns = w.machine.table.drive[0].turnaround_ns;
     const int64_t deadlines_ns[] = {20 * MS, 40 * MS, 80 * MS, bound_ns, bound_ns};

@@ -168,8 +168,8 @@ static void the_answer_to_an_older_stop_does_not_stand_for_a_newer_one(void)
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out); /* the answer arrives later */
     CHECK(w.machine.drive[0].state.stop == STOP_POWER_OFF);
     (void)shut_down();
-    CHECK(w.power_offs[0] == 4 && w.released[0] == 2); /* two for the request, and two for the end
-                                                          */
+    CHECK(w.power_offs[0] == 4 && w.released[0] == 2); /* two for the request, and two for the
+                                                          end */
 }
 
 static void open_again(uint32_t may_turn)

@@ -56,8 +56,8 @@ static void writer_reader_and_the_newest_value_never_share_a_slot(void)
 
 static void a_ring_gives_all_in_order_and_takes_no_more_than_it_holds(void)
 {
-    ring r = {.head = UINT32_MAX - 1, .tail = UINT32_MAX - 1}; /* so that its positions wrap round
-                                                                  */
+    ring r = {.head = UINT32_MAX - 1, .tail = UINT32_MAX - 1}; /* so that its positions wrap
+                                                                  round */
     uint64_t places[4], out = 0;
     CHECK(!ring_take(&r, places, 4, &out, sizeof out));
     for (uint64_t round = 0; round < 3; round++) {

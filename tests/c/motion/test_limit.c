@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_limit: single steps of the ramp, and whole ramps compared with the physically shortest time.
- * */
+ * test_limit: single steps of the ramp, and whole ramps compared with the physically shortest
+ * time. */
 #include <float.h>
 #include <math.h>
 
@@ -34,8 +34,8 @@ static const struct {
     {false, false, {0.0, 0.0}, {0.01, 0.0}, {0.01, 0.0}, 0},
     {false, false, {1.0, 1.0}, {1.0, 1.0}, {1.0, 1.0}, 0},
     {false, false, {0.0, 0.0}, {0.1, 0.0}, {0.01, 0.0}, REASON_LINEAR_ACCELERATION},
-    /* through zero: after it no more than the acceleration, before it no more than the deceleration
-     * */
+    /* through zero: after it no more than the acceleration, before it no more than the
+     * deceleration */
     {false, false, {0.02, 0.0}, {-1.0, 0.0}, {0.005, 0.0}, REASON_LINEAR_DECELERATION},
     {false, false, {0.012, 0.0}, {-1.0, 0.0}, {0.0, 0.0}, REASON_LINEAR_ACCELERATION},
     {false, false, {0.005, 0.0}, {-1.0, 0.0}, {-0.005, 0.0}, REASON_LINEAR_ACCELERATION},

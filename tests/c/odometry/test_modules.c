@@ -102,8 +102,8 @@ static void joints_without_feedback_leave_their_equations_out(void)
     for (int j = 0; j < JOINTS_MAX; j++) {
         rim[j] = any(-1.0, 1.0);
     }
-    check_least_squares(&strafes, turned_rad, 0x7, rim); /* each of the two wheels rolls freely once
-                                                            */
+    check_least_squares(&strafes, turned_rad, 0x7, rim); /* each of the two wheels rolls freely
+                                                            once */
     check_least_squares(&strafes, turned_rad, 0xD, rim);
 }
 

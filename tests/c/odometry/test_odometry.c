@@ -361,8 +361,8 @@ static void the_possible_travels_of_a_counter_decide_which_is_accepted(void)
     }
 }
 
-/* In a new epoch the origin of the counter may have moved, so one step uses the drive's velocity.
- * */
+/* In a new epoch the origin of the counter may have moved, so one step uses the drive's
+ * velocity. */
 static void a_moved_origin_is_no_travel(void)
 {
     base b = begun(32);
@@ -407,8 +407,8 @@ static void without_a_counter_the_velocity_or_the_set_point_is_integrated(void)
     }
 }
 
-/* One of two wheels of a side falls silent, returns, and adds no travel before it has a reference.
- * */
+/* One of two wheels of a side falls silent, returns, and adds no travel before it has a
+ * reference. */
 static void a_wheel_that_was_silent_restarts_and_is_reported_degraded(void)
 {
     core_config config = begun(32).config;
