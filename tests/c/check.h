@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * check.h: the least that a C test needs. A failed check prints its place and ends the program. */
+ * check.h: the minimum for a C test. A failed check prints its place and ends the program. */
 #ifndef MOTORD_TESTS_CHECK_H
 #define MOTORD_TESTS_CHECK_H
 

@@ -1,11 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz.h: a fuzz target that needs nothing but gcc, and is libFuzzer's as well.
+ * fuzz.h: makes a fuzz target that needs only gcc, and also works with libFuzzer.
  *
  * A target defines FUZZ_NAME, FUZZ_MAX and `static void once(const uint8_t *data, size_t size)`,
- * then includes this. As a program:
- *     target RUNS [SEED]     so many inputs of its own: random ones, and small changes of the ones
- *                            before
- * With clang: -fsanitize=fuzzer -DLIBFUZZER. */
+ * then includes this file. The program is called so:
+ *     target RUNS [SEED]     makes so many inputs: random ones, and small changes of the last ones
+ * With clang and libFuzzer: -fsanitize=fuzzer -DLIBFUZZER. */
 #ifndef MOTORD_TESTS_FUZZ_H
 #define MOTORD_TESTS_FUZZ_H
 

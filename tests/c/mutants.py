@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks the C tests. Each mutant is a file with one small error in it; tests that still pass do
-not find it.
+"""Check the C tests with mutants. A mutant is a C file with one small error in it; tests that pass
+with it do not find the error.
 
 python tests/c/mutants.py [FILE ...] [--sample N] [--seed S] [--jobs N] [--again]
 
-Without FILE: all pure files. With --again: of a file only what survived its last run.
+Without FILE: all files of `pure_files`. With --again: only the mutants that survived the last run
+of their file.
 
 The tests are linked once against a library of csrc/. A mutant is a small shared object that is
-loaded before that library and takes the place of its functions. The first round runs without
-sanitizers; what survives it runs once more with them. A mutant whose optimized machine code equals
-that of the file is no mutant; neither is one that does not compile.
+loaded before that library and takes the place of its functions. The tests run it without
+sanitizers; if it survives, they run once more with sanitizers. A mutant does not count if it does
+not compile, or if its optimized machine code equals that of the unchanged file.
 
-Ends with 1 where a mutant survives that mutants.toml does not list as the same program in other
-words, or where mutants.toml lists one that the tests kill.
+The exit status is 1 if a mutant survives that mutants.toml does not list, or if mutants.toml lists
+one that the tests kill or that does not exist. mutants.toml lists the mutants that are the same
+program in other words.
 """
 
 from __future__ import annotations
@@ -45,7 +47,7 @@ PLAIN = ["-O1"]
 FLAGS = ["-std=c11", "-D_GNU_SOURCE", "-ffp-contract=off", "-w"]
 CHECKS = ["-fsanitize=address,undefined,bounds-strict", "-fno-sanitize-recover=all"]
 SANITIZED = ["-O1", *CHECKS]
-CHECKED = ["-O0", *CHECKS, "-fPIC", "-shared"]  # of a mutant: three times as soon compiled
+CHECKED = ["-O0", *CHECKS, "-fPIC", "-shared"]  # for mutants: compiles three times as fast
 IMPURE = re.compile(r"(bus_receiver|clock|loop.*|line_(thread|rtu|can|board)|output_.*|ingress)\.c")
 """Files with a clock, a thread or a descriptor: contract, rt and peers tests run them."""
 FUZZ = ["fuzz_line 2000", "fuzz_can 2000", "fuzz_board 3000", "fuzz_command 20000"]
@@ -72,7 +74,7 @@ _TOKEN = re.compile(
 )
 _COMMENT = re.compile(r"/\*.*?(?:\*/|$)", re.DOTALL)
 
-# A mutant in a dead loop ends by its processor time, however busy the machine is.
+# Ends a mutant in an endless loop by a limit on its CPU time, which a busy machine does not change.
 DEADLINE = """
 #include <stdlib.h>
 #include <sys/time.h>
@@ -85,7 +87,7 @@ __attribute__((constructor)) static void set_deadline(void)
     setitimer(ITIMER_PROF, &limit, NULL);
 }
 """
-# Loaded with a file whose functions report that they are called: which tests use it?
+# Is loaded with an instrumented file: a test that calls a function of it exits with CALLED_STATUS.
 CALLED_STATUS = 99
 CALLED = f"""
 #include <unistd.h>
@@ -100,12 +102,12 @@ __attribute__((no_instrument_function)) void __cyg_profile_func_enter(void *call
 @dataclass(frozen=True)
 class Mutant:
     line: int
-    what: str  # its line without comments, with the change in double braces
+    what: str  # the changed line without comments, with the change in double braces
     text: str
 
 
 def _pieces(source: str) -> Iterator[tuple[int, int, str, str]]:
-    """(begin, end, kind, text) of what may be changed; inside whole statements, too."""
+    """Yield (begin, end, kind, text) of each changeable piece: statements, and their parts, too."""
     for found in _TOKEN.finditer(source):
         kind = found.lastgroup or "skip"
         if kind == "skip":
@@ -128,13 +130,13 @@ def _changes(kind: str, text: str) -> list[str]:
         decimal = not digits.lower().startswith("0x")
         value, width = int(digits, 10 if decimal else 16), len(digits) if decimal else 0
         near = [value + 1, value - 1] if value > 0 else [value + 1]
-        return [f"{other:0{width}}{suffix}" for other in near]  # the zeros of 0.01 stay
-    # without its return a function does not compile to anything defined
+        return [f"{other:0{width}}{suffix}" for other in near]  # keeps the zero of 0.01
+    # a statement is removed, but not a return: the value of the function would be undefined
     return [] if text.startswith("return") else [";"]
 
 
 def mutants(source: str) -> list[Mutant]:
-    """All of them, in the file's order."""
+    """Return all mutants of `source`, in the order of the places that they change."""
     found = []
     seen: Counter[str] = Counter()
     for begin, end, kind, text in _pieces(source):
@@ -152,7 +154,7 @@ def mutants(source: str) -> list[Mutant]:
 
 
 def compile_all(arguments: list[str | Path], into: Path, needs: list[Path]) -> None:
-    """If anything that it needs is newer."""
+    """Compile and link into the file `into`, if it is missing or a file of `needs` is newer."""
     if into.exists() and into.stat().st_mtime > max(path.stat().st_mtime for path in needs):
         return
     fresh = into.with_name(f"{into.name}.{os.getpid()}")
@@ -167,7 +169,7 @@ def write_if_other(path: Path, text: str) -> None:
 
 @dataclass
 class Program:
-    """A test, or a fuzzer with its arguments."""
+    """A test program, or a fuzzer with its arguments, and what it did to the mutants of a file."""
 
     call: str
     cpu_s: float = 0.0
@@ -175,7 +177,7 @@ class Program:
     lock: Lock = field(default_factory=Lock)
 
     def command(self, flags: list[str]) -> list[str]:
-        """Built, if it has to be."""
+        """Return the command that runs the program; build the program first if needed."""
         name, *arguments = self.call.split()
         into = BUILT / (f"{name}.sanitized" if flags is SANITIZED else name)
         own = sorted(HERE.rglob("*.h"))
@@ -197,18 +199,18 @@ class Program:
 
     @property
     def order(self) -> float:
-        """First the one that kills most in its time."""
+        """Sort key: the program that kills most mutants for its CPU time has the smallest."""
         return self.cpu_s / (1 + self.kills)
 
 
 def flat(path: Path) -> str:
-    """A file of csrc/ for one folder of all files. What is hidden cannot be replaced."""
+    """Return a file's text with bare names in includes and all symbols visible: replaceable."""
     text = path.read_text(encoding="utf-8").replace("#pragma GCC visibility", "#pragma")
     return re.sub(r'^#include "(?:\w+/)+', '#include "', text, flags=re.MULTILINE)
 
 
 class Bench:
-    """The tests, each linked once; and a copy of csrc/ for each worker to change."""
+    """The test programs, each linked once, and a copy of csrc/ for each worker to change."""
 
     def __init__(self, folder: Path, jobs: int) -> None:
         self.folder = folder
@@ -250,7 +252,7 @@ class Bench:
         return programs
 
     def includers(self, name: str) -> list[str]:
-        """The C files that a change of `name` changes."""
+        """Return the C files that have to be compiled again when the file `name` changes."""
         if name.endswith(".c"):
             return [name]
         reached, left = {name}, [name]
@@ -263,7 +265,7 @@ class Bench:
         return sorted(path for path in reached if path.endswith(".c"))
 
     def build(self, copy: Path, parts: list[str], flags: list[str], into: Path) -> bool:
-        """A shared library, where the flags demand it."""
+        """Compile `parts` of `copy` into the file `into`; return whether the compiler succeeded."""
         arguments = [*FLAGS, *flags, *(str(copy / part) for part in parts)]
         done = subprocess.run(
             ["gcc", *arguments, "-o", into], stderr=subprocess.DEVNULL, timeout=300
@@ -271,7 +273,7 @@ class Bench:
         return done.returncode == 0
 
     def run(self, command: list[str], preload: str, limit_s: float) -> int:
-        # through the environment: a program that is forked from a thread must not run Python
+        # Limits go through the environment: preexec_fn would run Python in a child of a thread.
         environment = {
             "LD_PRELOAD": preload,
             "ASAN_OPTIONS": "detect_leaks=0",
@@ -293,7 +295,7 @@ class Bench:
 
 @dataclass
 class Tally:
-    """A file and what came of its mutants."""
+    """Results of the mutants of a file."""
 
     name: str
     count: int = 0
@@ -312,7 +314,7 @@ class Tally:
 
 
 class Trial:
-    """One file against the tests that call it."""
+    """The mutants of one file, and the tests that call functions of that file."""
 
     def __init__(self, bench: Bench, name: str) -> None:
         self.bench = bench
@@ -355,7 +357,7 @@ class Trial:
                 sys.exit(f"{program.call} fails with sanitizers, without a mutant of {self.name}")
 
     def _code(self, copy: Path) -> bytes:
-        """The optimized machine code."""
+        """Return the optimized machine code; empty if a part does not compile."""
         code = b""
         into = copy / "code.o"
         for part in self.parts:
@@ -365,7 +367,7 @@ class Trial:
         return code
 
     def _survives(self, copy: Path) -> bool | None:
-        """None: it does not compile, or it is the same machine code."""
+        """Return None if the mutant does not compile or has the same machine code as the file."""
         shared = copy / "mutant.so"
         if not self.bench.build(copy, self.parts, ["-O0", "-fPIC", "-shared"], shared):
             return None
@@ -428,7 +430,7 @@ class Trial:
 
 
 def pure_files() -> list[str]:
-    """No thread, no clock, no descriptor; of the headers, those with functions."""
+    """Return the C files without a clock, thread or descriptor, and headers with functions."""
     headers = [
         path.name
         for path in sorted(CSRC.rglob("*.h"))

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * tape.h: a fuzz target's input as choices, one byte each, and what holds for the modes of every
+ * tape.h: the input of a fuzz target as choices, one byte each, and rules for the modes of every
  * machine. */
 #ifndef MOTORD_TESTS_TAPE_H
 #define MOTORD_TESTS_TAPE_H
@@ -16,7 +16,7 @@ static inline void put_tape(const uint8_t *data, size_t size)
     tape_left = size;
 }
 
-/* 0 when it is over. */
+/* Returns the next byte of the tape, 0 at its end. */
 static inline uint8_t next_byte(void)
 {
     if (tape_left == 0) {
@@ -26,7 +26,7 @@ static inline uint8_t next_byte(void)
     return *tape++;
 }
 
-/* READY is reached from OFF or BACK by its request alone; both requests may have come since the
+/* From OFF or BACK, only a request of READY leads to READY. Both requests may have come since the
  * last look. */
 static inline void judge_mode(uint32_t before, uint32_t now, const mode_request *asked)
 {

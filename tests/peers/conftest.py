@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tests against other people's programs share."""
+"""Fixtures of the tests against programs of other projects."""
 
 import pytest
 from tests.peers.mqtt.mosquitto import free_port
@@ -7,5 +7,5 @@ from tests.peers.mqtt.mosquitto import free_port
 
 @pytest.fixture(scope="module")
 def port():
-    """A free port for the server of this file's robot."""
+    """A free TCP port, for a server of the robot of one test file."""
     return free_port()

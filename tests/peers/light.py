@@ -5,7 +5,8 @@ from tests.sim.daemon_stage import RETRIED
 
 LOOP = "loop.rate_hz=100"
 RATES = (LOOP, "line.rs485.cycle_hz=20")
-"""No bus here publishes or commands at a higher rate. A faster loop and line would take twice the
-CPU in each of the tests that run side by side."""
+"""Rates of the loop and the line. No bus of these tests publishes or commands at a higher rate. A
+faster loop and line would take twice the CPU in each of the tests that run side by side."""
 LIGHT = (*RETRIED, *RATES)
-"""The demonstration's robot, for which a reply that a busy machine delays is no fault."""
+"""Settings of the demonstration robot: low rates, and repeated requests. Thus a reply that a busy
+machine delays is not a fault."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two network namespaces with one cable between them, that can be pulled."""
+"""Two network namespaces connected by one cable, which a test can pull."""
 
 import contextlib
 import os
@@ -11,7 +11,7 @@ THERE, HERE = "10.213.77.1", "10.213.77.2"
 
 
 def why_not():
-    """Why no cable can be made here; empty if it can."""
+    """Return the reason why no cable can be made on this machine; empty if one can."""
     if os.geteuid() != 0:
         return "network namespaces need root"
     if shutil.which("ip") is None:
@@ -28,7 +28,7 @@ def why_not():
 
 @dataclass
 class Cable:
-    """A cable between the namespace `there`, whose end has the address THERE, and `here`."""
+    """A cable between the namespaces `there` (address THERE) and `here` (address HERE)."""
 
     there: str
     here: str
@@ -41,7 +41,7 @@ class Cable:
 
 
 def inside(name):
-    """The prefix with which a command runs in that namespace."""
+    """Return the words to put before a command, so that it runs in the namespace `name`."""
     return ("ip", "netns", "exec", name)
 
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * board_wire.h: a board's machine in virtual time, with the reference board at the other end of
- * the wire. */
+ * board_wire.h: the machine of a board in virtual time, with the reference board at the other end
+ * of the wire. */
 #ifndef MOTORD_TESTS_BOARD_WIRE_H
 #define MOTORD_TESTS_BOARD_WIRE_H
 
@@ -34,11 +34,11 @@ typedef struct {
     motord_health health;
     int64_t now_ns, wake_ns;
     double velocity_rad_s; /* set-points of the core for all joints */
-    uint32_t enabled;      /* the core's; 2: no set-points come any more */
-    /* the board does not send or receive; the port takes nothing */
+    uint32_t enabled;      /* set by the core; 2: no set-points come any more */
+    /* the board is silent; it receives nothing; the port takes no bytes */
     bool mute, receives_nothing, full;
     bool stuck;                   /* its wheels keep turning and ignore what they are sent */
-    uint8_t sent[BOARD_WIRE_MAX]; /* the newest */
+    uint8_t sent[BOARD_WIRE_MAX]; /* the newest frame */
     uint32_t sent_bytes, sent_count;
     uint32_t moving_count; /* frames with a set-point that is not zero */
 } board_wire;
@@ -50,7 +50,7 @@ static inline board_place at(uint32_t byte, uint32_t bytes, uint32_t is_signed)
     return (board_place){.byte = byte, .bytes = bytes, .is_signed = is_signed};
 }
 
-/* Of the newest frame: a number of its payload. */
+/* A number in the payload of the newest frame. */
 static inline int64_t last_sent(uint32_t byte, uint32_t bytes, uint32_t is_signed)
 {
     uint8_t raw[BOARD_FRAME_MAX];
@@ -92,7 +92,7 @@ static inline board_field level_of(uint32_t kind, board_place place, uint32_t ma
                          .meaning = {.kind = kind, .equals_mask = mask, .equals = equals}};
 }
 
-/* config/drives/mcu-velocity.toml */
+/* The table of config/drives/mcu-velocity.toml. */
 static inline board_table frames_table(void)
 {
     board_table table = {.dialect = BOARD_FRAMES,
@@ -133,7 +133,7 @@ static inline board_table frames_table(void)
     return table;
 }
 
-/* Two numbers out, one velocity in. */
+/* The board is sent two numbers and reports one velocity. */
 static inline board_table text_table(bool answers)
 {
     board_table table = {.dialect = BOARD_TEXT,
@@ -204,7 +204,7 @@ static inline void step(void)
         }
     }
     w.wake_ns = board_machine_step(&w.machine, w.now_ns);
-    CHECK(w.wake_ns > w.now_ns); /* it never requests an immediate wake-up for nothing */
+    CHECK(w.wake_ns > w.now_ns); /* a step never requests an immediate wake-up without need */
 }
 
 static inline void receive(const char *text)
@@ -226,7 +226,7 @@ static inline void speak(void)
     }
 }
 
-/* For this time, with one look at the board each millisecond. */
+/* Advances the time, with one look at the board each millisecond. */
 static inline void go_on(int64_t for_ns)
 {
     for (int64_t end_ns = w.now_ns + for_ns; w.now_ns < end_ns;) {
@@ -264,12 +264,12 @@ static inline void set_up(void)
 {
     go_on(150 * MS);
     order(CONTROL, 1, CONTROL_RESTART_NOTED, 0);
-    order(CONTROL, 1, CONTROL_OFF, 0); /* or it would take back the next restart's */
+    order(CONTROL, 1, CONTROL_OFF, 0); /* else it would clear the flag of the next restart, too */
     order(WATCHDOG, 2, WATCHDOG_MS, 0);
     request(DRIVE_READY);
     CHECK(w.machine.state.mode == DRIVE_READY && w.machine.state.fault_reasons == 0 &&
           w.machine.state.enabled == 2);
-    /* what was received before was another life */
+    /* feedback from before the set-up does not count */
     CHECK(isnan(w.machine.joint[0].feedback.velocity_rad_s));
 }
 
@@ -283,7 +283,7 @@ static inline void arm(void)
     CHECK(w.machine.state.mode == DRIVE_ARMED && w.machine.state.enabled == 2);
 }
 
-/* What Python would be notified of by now; it has been then. */
+/* Whether Python is to be notified since the last call. */
 static inline bool received_changes(void)
 {
     bool notify = w.machine.notify;

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_board.c: a board's machine with random bytes, requests and set-points. For any input,
- * motion is sent only to an armed board and only while the core requests it, frames leave no
- * faster than cycles and stops, and the end comes. In each dialect. */
+ * fuzz_board.c: the machine of a board with random bytes, requests and set-points, in each dialect.
+ * For any input, motion is sent only to an armed board and only while the core requests it, no
+ * frames are sent except in cycles and stops, and the line ends. */
 #include "board_wire.h"
 #include "tape.h"
 
@@ -47,7 +47,7 @@ static bool judge(void *sink, const uint8_t *bytes, uint32_t count)
     return true;
 }
 
-/* A complete frame with a random payload. */
+/* The board sends a complete frame with a random payload. */
 static void report_something(void)
 {
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
@@ -55,7 +55,7 @@ static void report_something(void)
     for (uint32_t i = 0; i < size && i < 36; i++) {
         payload[i] = next_byte() % 4 == 0 ? next_byte() : 0;
     }
-    /* a sensor, too, where it is long enough */
+    /* may announce a sensor, also in a payload that is too short for one */
     payload[STATUS] &= STATUS_ENABLED | STATUS_RESTARTED | STATUS_IMU;
     payload[WATCHDOG] = WATCHDOG_MS;
     board_place received = at(6, 2, 0);
@@ -65,7 +65,7 @@ static void report_something(void)
     board_machine_receive(&w.machine, frame, count, w.now_ns);
 }
 
-/* A frame of a hoverboard, as often as not with a good sum, or a part of one. */
+/* A hoverboard sends a frame or the end of one, sometimes with a wrong check sum. */
 static void report_packet(void)
 {
     uint8_t frame[HOVERBOARD_FEEDBACK_BYTES] = {0xCD, 0xAB};
@@ -139,7 +139,7 @@ static void requests(uint8_t choice)
     asked->mode = choice / 2 % 6;
     asked->arming_until_ns = (choice & 64) != 0 ? w.now_ns + 100 * MS : 0;
     if (choice >= 200) {
-        /* whose payload is set-points and nothing else */
+        /* the payload of a packet has set-points only */
         bool packets = w.table.dialect > BOARD_TEXT;
         board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = packets ? 0 : choice % 16},
                            .guarded = choice & 1,
@@ -158,7 +158,7 @@ static void look(void)
     CHECK(w.machine.feedback_bytes <= BOARD_PAYLOAD_MAX && w.machine.tail.count <= BOARD_LINE_MAX);
 }
 
-/* Also for the mode before the step. */
+/* The board sends something, which may change its mode: `judge_mode` compares with the new one. */
 static void say(uint8_t choice)
 {
     if (w.table.dialect == BOARD_FRAMES && choice % 4 != 0) {
@@ -201,7 +201,7 @@ static board_table text(void)
     return table;
 }
 
-/* {"T":1,"v":velocity} */
+/* The board reports {"T":1,"v":velocity}. */
 static board_table json(void)
 {
     board_table table = text();
@@ -253,7 +253,7 @@ static board_table some_table(uint8_t choice)
     }
 }
 
-/* Where most of what matters begins. */
+/* Begins with an armed board, because most errors need one. */
 static void begin_armed(void)
 {
     set_points(1 + 8 + 32);
@@ -299,7 +299,8 @@ static void once(const uint8_t *data, size_t size)
     w.machine.control.shut_down = 1;
     for (int64_t asked_ns = w.now_ns; w.machine.end.stage != END_SILENT; w.now_ns = w.wake_ns) {
         look();
-        /* of these, 500 while it sends and does not report that it has no power */
+        /* the last 500 are for a board that sends feedback and does not report that it has no
+         * power */
         CHECK(w.now_ns <= asked_ns + 1100 * MS);
     }
     look();

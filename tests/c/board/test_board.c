@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board's machine in virtual time: what is sent, which feedback counts, and when the board is
- * stopped. */
+ * The machine of a board in virtual time: the frames that it sends, which feedback counts, and when
+ * it stops the board. */
 #include "board_wire.h"
 
 /* --------------------------------------------------------------------------- frames out */
@@ -62,7 +62,7 @@ static void a_stop_that_a_newer_request_overtook_is_still_carried_out(void)
 {
     begin();
     arm_and_turn();
-    w.machine.control.request.count++; /* STAND_DOWN or OFF, before the next one took its place */
+    w.machine.control.request.count++; /* a STAND_DOWN or OFF that the next request has replaced */
     request(DRIVE_ARMED);
     go_on(30 * MS);
     CHECK(w.machine.state.mode == DRIVE_READY && w.peer.enabled == 0);
@@ -76,7 +76,7 @@ static void each_write_of_a_job_is_sent_in_a_frame_of_its_own(void)
     board_order one = {.write = {.place = at(CONTROL, 1, 0), .raw = CONTROL_CLEAR}};
     CHECK(board_machine_order(&w.machine, &one));
     one.write.raw = 0;
-    CHECK(!board_machine_order(&w.machine, &one)); /* the first has not gone out */
+    CHECK(!board_machine_order(&w.machine, &one)); /* the first one has not been sent yet */
     w.full = true;
     go_on(30 * MS);
     CHECK(w.machine.has_order && w.machine.no_room > 0);
@@ -111,7 +111,7 @@ static void a_new_start_continues_the_sequence(void)
     CHECK(w.peer.frames_good >= good + 2 && w.peer.enabled == 0);
 }
 
-/* The machine has no state of the program before it, whose sequence wraps at 65536. */
+/* The new machine does not know the sequence of the program before it, which wraps at 65536. */
 static void a_new_program_continues_the_sequence_that_the_board_has_received(void)
 {
     const uint16_t received[] = {1, 300, 20000, 32767, 32768, 32769, 65535};
@@ -159,7 +159,7 @@ static void old_set_points_brake_and_take_the_power_at_rest(void)
           w.machine.state.mode == DRIVE_READY);
     CHECK(w.peer.braking == 1 && w.peer.enabled == 0 && w.machine.state.stopping);
     go_on(300 * MS);
-    CHECK(w.peer.braking == 1); /* the wheels turn still */
+    CHECK(w.peer.braking == 1); /* the wheels still turn */
     w.stuck = false;
     go_on(50 * MS);
     CHECK(w.peer.braking == 0 && !w.machine.state.stopping);
@@ -201,7 +201,7 @@ static void only_feedback_from_after_the_stop_proves_rest(void)
     begin();
     arm();
     go_on(20 * MS);
-    w.stuck = true; /* it reports 0, and turns */
+    w.stuck = true; /* the wheels turn, and the board reports 0 */
     w.measured[0].velocity_mrad_s = 0;
     w.measured[1].velocity_mrad_s = 0;
     go_on(20 * MS);
@@ -243,7 +243,7 @@ static void a_stop_may_have_several_writes(void)
     CHECK(last_sent(CONTROL, 1, 0) == CONTROL_BRAKE && last_sent(4, 2, 0) == 11);
     w.enabled = 1;
     request(DRIVE_ARMED);
-    CHECK(w.machine.state.mode == DRIVE_READY); /* not while it comes to rest */
+    CHECK(w.machine.state.mode == DRIVE_READY); /* a board that comes to rest is not armed */
 }
 
 static void a_board_that_is_requested_off_is_off_at_once(void)
@@ -301,7 +301,7 @@ static void a_port_that_takes_no_bytes_leaves_the_board_alone(void)
     go_on((WATCHDOG_MS + 30) * MS);
     CHECK(w.machine.state.mode != DRIVE_ARMED &&
           (w.machine.state.fault_reasons & DRIVE_FAULT_LEFT_ALONE) != 0);
-    CHECK(w.peer.enabled == 0 && w.peer.braking == 1); /* by its own watchdog */
+    CHECK(w.peer.enabled == 0 && w.peer.braking == 1); /* braked by its own watchdog */
     w.full = false;
     w.moving_count = 0;
     go_on(50 * MS);
@@ -357,7 +357,7 @@ static void a_board_that_is_enabled_without_arming_is_switched_off(void)
     order(CONTROL, 1, CONTROL_ENABLE, 0);
     go_on(50 * MS);
     CHECK(w.peer.enabled == 0 && (w.machine.state.fault_reasons & DRIVE_FAULT_STILL_ENABLED) == 0);
-    for (uint32_t i = 0; i < 3; i++) { /* one that ignores its power-off */
+    for (uint32_t i = 0; i < 3; i++) { /* a board that ignores its power-off */
         uint8_t frame[BOARD_WIRE_MAX],
             payload[BOARD_PAYLOAD_MAX] = {STATUS_ENABLED, MOTORS, WATCHDOG_MS};
         w.mute = true;
@@ -385,7 +385,7 @@ static void a_mute_board_is_unresponsive_and_braked_and_comes_back_disarmed(void
     uint32_t before = w.sent_count;
     w.moving_count = 0;
     go_on(200 * MS);
-    CHECK(w.sent_count >= before + 19 && w.moving_count == 0); /* sent so in every cycle */
+    CHECK(w.sent_count >= before + 19 && w.moving_count == 0); /* a stop in every cycle */
     request(DRIVE_ARMED);
     request(DRIVE_READY);
     CHECK(w.machine.state.mode == DRIVE_UNRESPONSIVE);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_clock: the time of feedback, from the board's own clock. */
+ * test_board_clock: the time of feedback, computed from the board's own clock. */
 #include <string.h>
 
 #include "board_machine.h"
@@ -8,7 +8,7 @@
 enum { MS = 1000000, US = 1000, PERIOD_US = 10000 };
 static const int64_t BEGIN_NS = 5000 * (int64_t)MS;
 
-/* A board whose clock began at `began_us`, read every PERIOD_US. */
+/* A board whose clock began at `began_us`. It reports every PERIOD_US. */
 typedef struct {
     board_clock clock;
     uint32_t time_us;
@@ -20,8 +20,8 @@ static board board_at(uint32_t began_us)
     return (board){.time_us = began_us - PERIOD_US, .true_ns = BEGIN_NS - PERIOD_US * (int64_t)US};
 }
 
-/* Its next feedback, which arrives `delay_ns` late; returns how much later than the truth the
- * stamp is. */
+/* The board's next feedback arrives `delay_ns` late. Returns by how much its stamp is later than
+ * the true time. */
 static int64_t stamped_late_ns(board *b, int64_t delay_ns)
 {
     b->time_us += PERIOD_US;
@@ -41,12 +41,12 @@ static void feedback_that_was_delayed_longer_is_stamped_older(void)
     CHECK(stamped_late_ns(&b, 2 * MS) == 2 * MS);
     CHECK(stamped_late_ns(&b, 9 * MS) == 2 * MS);
     CHECK(stamped_late_ns(&b, 3 * MS) == 2 * MS);
-    /* a quicker one shows that all were later than thought */
+    /* a frame with a shorter delay shows that all stamps were too late */
     CHECK(stamped_late_ns(&b, 1 * MS) == 1 * MS);
     CHECK(stamped_late_ns(&b, 9 * MS) == 1 * MS);
 }
 
-/* The smallest of the remembered delays counts, in any place of the list, until it is dropped. */
+/* The smallest of the remembered delays counts, wherever it is in the list, until it is dropped. */
 static void the_least_of_the_delays_counts_until_it_is_forgotten(void)
 {
     for (uint32_t begin = 0; begin < BOARD_CLOCK_SAMPLES; begin++) {
@@ -70,8 +70,8 @@ static void a_board_s_time_passes_the_end_of_its_32_bits(void)
     }
 }
 
-/* Two frames of feedback, the second quicker by this much: stamps step back, and it is not new
- * until its stamp is later again. */
+/* The stamp of the second of two frames of feedback, whose delay is `quicker_ns` less. A stamp that
+ * would step back keeps its value until newer ones exceed it. */
 static int64_t second_ns(int64_t passed_ns, int64_t quicker_ns, int64_t *first_ns, int64_t *true_ns)
 {
     board_clock clock = {0};
@@ -100,14 +100,14 @@ static void a_stamp_is_held_for_a_bounded_time(void)
 static void a_stamp_that_is_held_is_never_from_the_future(void)
 {
     int64_t first_ns, true_ns;
-    /* that is when it came */
+    /* the time of its arrival */
     CHECK(second_ns(40 * MS, 100 * MS, &first_ns, &true_ns) == true_ns + 300 * MS);
     CHECK(second_ns(40 * MS, 40 * MS, &first_ns, &true_ns) == first_ns);
     CHECK(second_ns(40 * MS, 40 * MS + 1, &first_ns, &true_ns) == first_ns - 1);
 }
 
-/* A held stamp does not count as given: three quarters of the time since the last given one have
- * to pass. */
+/* A stamp that is held does not count: three quarters of the time since the last one that was given
+ * have to pass. */
 static void the_time_since_the_last_stamp_that_was_given_counts(void)
 {
     board_clock clock = {0};

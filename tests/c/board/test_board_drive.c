@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board's drive at its bounds: the last moment that is good, the first that is not. */
+ * The times of a board's drive at their bounds: the last good nanosecond and the first bad one. */
 #include "board_wire.h"
 
 static board_machine *m = &w.machine;
 
-/* READY, everything known, nothing to send. */
+/* A board that is READY: everything about it is known, and nothing is to be sent. */
 static void begin_ready(void)
 {
     begin();
@@ -46,7 +46,8 @@ static void a_board_is_left_alone_after_its_watchdog_and_not_before(void)
               m->state.fault_reasons == (late ? DRIVE_FAULT_LEFT_ALONE : 0U));
         CHECK(m->state.stopping == (late == 1) && m->notify == (late == 1));
     }
-    for (int64_t watchdog_ns = 0; watchdog_ns < 2; watchdog_ns++) { /* 0: it has none */
+    for (int64_t watchdog_ns = 0; watchdog_ns < 2; watchdog_ns++) { /* 0: the board has no
+                                                                       watchdog */
         begin_armed();
         m->table.watchdog_ns = watchdog_ns;
         m->last_sent_ns = w.now_ns - 2;
@@ -72,8 +73,7 @@ static void feedback_from_after_the_stop_puts_it_at_rest(void)
     }
 }
 
-/* `reported` is what the board reports of itself; it has received what is in its payload by
- * then. */
+/* The board reports this status and watchdog, after it has received the newest payload. */
 static void reports(uint32_t status, int64_t watchdog_ms)
 {
     memset(m->feedback_payload, 0, sizeof m->feedback_payload);
@@ -131,7 +131,7 @@ static void an_order_counts_when_it_has_been_sent(void)
 static void a_board_that_another_program_left_running_is_braked_before_it_loses_its_power(void)
 {
     board_table table = frames_table();
-    /* nothing is set up, so nothing of it can be lost */
+    /* without set-up, the board has nothing to lose */
     for (uint32_t i = table.field_count; i-- > 0;) {
         if (table.field[i].meaning.kind == FIELD_KEPT) {
             table.field[i] = table.field[--table.field_count];

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How the line of a board ends, in virtual time: braked, switched off, silent. */
+ * The end of a board's line in virtual time: the board is braked and switched off, and the line is
+ * silent. */
 #include "board_wire.h"
 
 static void the_end_brakes_switches_off_and_is_silent(void)
@@ -52,7 +53,7 @@ static void the_end_comes_even_when_wheels_turn_and_nothing_can_be_sent(void)
     CHECK(w.machine.end.stage == END_SILENT);
 }
 
-/* Between the order to enable it and its arming. */
+/* The line ends after the order to enable the board, and before its arming. */
 static void a_board_that_was_enabled_and_is_not_armed_is_switched_off(void)
 {
     begin();
@@ -84,7 +85,7 @@ static void the_end_waits_no_longer_than_it_may(void)
     CHECK(w.machine.end.stage == END_SILENT);
 }
 
-/* Until the line is silent; cut off until then. */
+/* Shuts the line down and waits until it is silent. The wire is cut until `cut_until_ns`. */
 static board_report ends(int64_t cut_until_ns)
 {
     board_report report;
@@ -107,7 +108,8 @@ static void a_board_that_was_seen_without_power_is_not_waited_for(void)
     CHECK(ends(INT64_MAX).stop_waits == 0 && w.now_ns < asked_ns + 2 * w.table.period_ns + 10 * MS);
 }
 
-/* A board that turns and whose wire is cut. Returns the time. */
+/* The wire of a board that turns is cut. Returns the time, when the board is unresponsive on
+ * request. */
 static int64_t cut_off(bool unresponsive)
 {
     begin();
@@ -152,8 +154,8 @@ static void the_end_waits_a_little_longer_for_a_board_that_sends_and_does_not_re
           w.now_ns < asked_ns + END_OFF_NS + 530 * MS);
 }
 
-/* Its power-off has been sent, and the board has been silent for this time when the end's time
- * is over. */
+/* The time of the end is over. The power-off has been sent, and the board has been silent for
+ * `silent_ns`. */
 static void ends_after_a_silence_of(int64_t silent_ns)
 {
     begin();

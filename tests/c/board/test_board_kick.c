@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board whose line the loop has woken: new set-points do not wait for their cycle. */
+ * The loop wakes the line of a board: new set-points do not wait for their cycle. */
 #include "board_wire.h"
 
-/* The loop has woken the line. */
+/* The loop wakes the line with new set-points. */
 static void kick(double velocity_rad_s)
 {
     uint32_t before = w.sent_count;
@@ -30,17 +30,17 @@ static void a_new_set_point_is_sent_at_once_but_not_before_the_gap(void)
     step();
     uint32_t before = w.sent_count;
     w.now_ns += 10 * MS;
-    kick(1.0); /* nothing new */
+    kick(1.0); /* the set-point is the same */
     step();
     CHECK(w.sent_count == before);
     kick(2.0);
     step();
     CHECK(w.sent_count == before + 1 && last_sent(TARGET, 4, 1) == 2000);
-    CHECK(w.machine.cycle.due_ns == w.now_ns + 20 * MS); /* the cycle continues from there */
+    CHECK(w.machine.cycle.due_ns == w.now_ns + 20 * MS); /* the cycle restarts here */
     w.now_ns += MS;
     kick(3.0);
     step();
-    /* the wire is still busy */
+    /* within the gap after the last frame */
     CHECK(w.sent_count == before + 1 && w.wake_ns == w.now_ns + 2 * MS);
     w.now_ns = w.wake_ns;
     step();
@@ -71,7 +71,7 @@ static void a_stop_is_sent_at_once_however_many_frames_came_before(void)
         speak();
         w.now_ns += MS;
     }
-    while (w.machine.cycle.due_ns <= w.now_ns + MS) { /* its cycle is not near */
+    while (w.machine.cycle.due_ns <= w.now_ns + MS) { /* until the next cycle is not due soon */
         w.now_ns = w.machine.cycle.due_ns;
         step();
         w.now_ns += MS;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_machine: which frames a board reports as received, and what a line remembers of
- * those it sent. */
+ * test_board_machine: which frames a board reports as received, and which of its frames a line
+ * remembers. */
 #include <stdlib.h>
 
 #include "board_wire.h"
@@ -9,12 +9,12 @@ enum { REPORTED_BYTES = 36, HELD_UNIT_US = 100 };
 
 static histogram trips;
 
-/* Feedback of the board, made at `time_us`: which frame it received last, and how many 0.1 ms
- * ago. */
+/* Feedback that the board makes at `time_us`: the number of the frame that it received last, and
+ * how many 0.1 ms ago. */
 static void receive_that(uint16_t sequence, uint16_t ago, uint32_t time_us)
 {
     uint8_t payload[REPORTED_BYTES] = {0}, frame[BOARD_WIRE_MAX];
-    payload[10] = 1; /* what follows is a fault word */
+    payload[10] = 1; /* a fault word follows */
     board_put(payload, &(board_place){.byte = 6, .bytes = 2}, sequence);
     board_put(payload, &(board_place){.byte = 8, .bytes = 2}, ago);
     uint32_t count =
@@ -30,7 +30,7 @@ static int64_t knows_after(uint16_t sequence, uint16_t ago)
     return w.machine.knows_ns;
 }
 
-/* One frame has gone out, at the time that it returns. */
+/* Sends a frame in the next cycle. Returns its time. */
 static int64_t send_one(void)
 {
     w.now_ns = w.machine.cycle.due_ns;
@@ -59,7 +59,7 @@ static void a_machine_begins_with_its_arguments_and_nothing_else(void)
     CHECK(memcmp(m, untouched, sizeof *m) == 0);
     table = frames_table();
     table.setpoint[table.setpoint_count] = table.setpoint[0];
-    table.setpoint[table.setpoint_count].scale.joint = 5; /* there is no such set-point */
+    table.setpoint[table.setpoint_count].scale.joint = 5; /* a set-point beyond the count */
     CHECK(board_machine_init(m, &table, 7, 0xFFFF, 55) == 0);
     CHECK(m->state.epoch == 7 && m->sequence == 0xFFFF && m->next == 0 && m->cycle.due_ns == 55 &&
           m->joints == 3);
@@ -83,13 +83,14 @@ static void a_received_frame_is_identified_by_its_time_of_sending(void)
     CHECK(knows_after(newest, 0) == second_ns && trips.samples == 1 && trips.max_ns == 3 * MS);
     CHECK(knows_after((uint16_t)(newest - 1), 30) == first_ns && trips.samples == 2 &&
           trips.max_ns == 10 * MS);
-    /* that was never sent */
+    /* a frame that was never sent */
     CHECK(knows_after((uint16_t)(newest - 2), 0) == 0 && trips.samples == 2);
     w.machine.sent_ns[(uint16_t)(newest - 2) % BOARD_SEQUENCES_KEPT] = 1;
     CHECK(knows_after((uint16_t)(newest - 2), 0) == 1 && trips.samples == 3);
 }
 
-/* Clocks differ a little; a frame received long before we sent it is one of an earlier program. */
+/* The clocks differ a little. A frame received long before it was sent is from an earlier
+ * program. */
 static void a_frame_received_before_it_was_sent_is_another_frame(void)
 {
     begin_again();
@@ -117,7 +118,7 @@ static void a_frame_is_remembered_until_enough_newer_ones_are_sent(void)
     }
     CHECK(w.machine.sequence == (uint16_t)(first + BOARD_SEQUENCES_KEPT));
     CHECK(knows_after((uint16_t)(first + 1), 0) == second_ns);
-    CHECK(knows_after(first, 0) == 0); /* another stands in its place */
+    CHECK(knows_after(first, 0) == 0); /* a newer frame has its place */
 }
 
 /* A board refuses frames that are older than the newest it received, from any program. */
@@ -130,9 +131,9 @@ static void a_line_continues_after_the_sequence_that_the_board_has_received(void
     CHECK(knows_after((uint16_t)(newest + 1), 0) == 0 && w.machine.next == (uint16_t)(newest + 2));
     (void)send_one();
     CHECK(w.machine.sequence == (uint16_t)(newest + 2) && w.machine.next == (uint16_t)(newest + 3));
-    CHECK(knows_after(newest, 0) == 0); /* its row has ended */
+    CHECK(knows_after(newest, 0) == 0); /* its sequence has ended */
     CHECK(knows_after((uint16_t)(newest + 1), 0) == 0);
-    /* that is behind */
+    /* a sequence behind the next one */
     CHECK(knows_after((uint16_t)(newest + 40000), 0) == 0 &&
           w.machine.next == (uint16_t)(newest + 3));
 }
@@ -188,7 +189,7 @@ static void a_board_that_may_move_is_checked_more_often_than_one_at_rest(void)
     table.period_ns = 100 * MS;
     for (uint32_t moving = 0; moving < 5; moving++) {
         begin_with(table);
-        w.enabled = 2; /* the set-points are the test's */
+        w.enabled = 2; /* the test sets the set-points */
         (void)send_one();
         w.now_ns += MS;
         w.machine.state.mode = DRIVE_READY;

@@ -1,16 +1,16 @@
 /* SPDX-License-Identifier: Apache-2.0
- * When the last power-off of a board's line counts as received: by what the board reports, in
- * frames and in text. */
+ * When the last power-off of a board's line counts as received, from the board's reports in frames
+ * and in text. */
 #include "board_wire.h"
 
 /* ---------------------------------------------------------------- before the end begins */
-/* A board that rests, has received all that was written, and reports no power; and one thing
- * against that. */
+/* A board that is at rest, has received all that was written, and reports no power; `against`: one
+ * condition that contradicts, 0: none. Returns whether one power-off suffices. */
 static bool suffices(int against, bool reports_it)
 {
     begin();
     board_machine *m = &w.machine;
-    m->table.field_count -= reports_it ? 0 : 1; /* the last one is its power */
+    m->table.field_count -= reports_it ? 0 : 1; /* the last field is its power */
     m->state =
         (drive_state){.mode = against == 1 ? DRIVE_OFF : DRIVE_READY, .stopping = against == 2};
     m->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
@@ -28,13 +28,13 @@ static void a_board_is_known_to_have_no_power_unless_a_condition_contradicts(voi
 {
     for (int against = 0; against < 10; against++) {
         CHECK(suffices(against, true) == (against == 0));
-        /* its feedback does not have its power */
+        /* without its power in the feedback */
         CHECK(suffices(against, false) == (against == 0 || against >= 8));
     }
     (void)suffices(2, true);
     w.machine.table.answers = 0;
     board_note_power(&w.machine, w.now_ns);
-    CHECK(w.machine.off_suffices); /* there is no feedback at all */
+    CHECK(w.machine.off_suffices); /* without feedback */
 }
 
 /* ------------------------------------------------------------------------------- frames */
@@ -43,7 +43,7 @@ static bool line_is_silent(void)
     return w.machine.end.stage == END_SILENT;
 }
 
-/* Time until the line is silent. */
+/* Waits until the line is silent; returns the time that it took. */
 static int64_t ends_after(void)
 {
     int64_t from_ns = w.now_ns;
@@ -60,7 +60,7 @@ static bool is_reported(void)
     return report.stop_waits != 0;
 }
 
-/* The first power-off of a board that turned has just gone out. */
+/* A board has turned, and its first power-off has just been sent. */
 static void goes_out_first(void)
 {
     begin();
@@ -95,12 +95,12 @@ static void a_board_that_still_has_power_after_its_power_off_is_reported(void)
 /* --------------------------------------------------------------------------------- text */
 static const char *const NO_POWER = "v 0\n", *const HAS_POWER = "v 0.001\n";
 
-/* Of both joints: the same number. */
+/* Both joints have the same number as their velocity. */
 static board_table table_with_velocity_only(void)
 {
     board_table table = text_table(true);
     table.field[table.field_count++] = field_of(1, FIELD_VELOCITY, at(0, 6, 1), 0.001);
-    /* there is no such field */
+    /* a field beyond the count */
     table.field[table.field_count] = level_of(FIELD_ENABLED, at(0, 6, 1), 1, 1);
     return table;
 }
@@ -113,14 +113,15 @@ static board_table table_with_power_first(void)
     return table;
 }
 
-/* Then the line sends once. */
+/* The board sends a line of text; then the machine sends once. */
 static void receives(const char *word)
 {
     receive(word);
     go_on(20 * MS);
 }
 
-/* The first power-off of a text board that turned has just been sent; no line has come since. */
+/* A text board has turned, and its first power-off has just been sent. It has reported nothing
+ * since. */
 static void goes_out_first_to(board_table table)
 {
     begin_with(table);
@@ -148,7 +149,7 @@ static void without_power_in_its_feedback_two_reports_with_a_power_off_between_a
     for (int words = 0; words < 3; words++) {
         goes_out_first_to(table_with_velocity_only());
         for (int i = 0; i < words; i++) {
-            receives(HAS_POWER); /* or so it would be, if that were a field of it */
+            receives(HAS_POWER); /* the velocity is no evidence of power */
         }
         (void)ends_after();
         CHECK(is_reported() == (words < 2) && (w.now_ns < w.machine.end.off_by_ns) == (words == 2));
@@ -181,7 +182,7 @@ static void a_board_that_keeps_reporting_power_is_reported(void)
 }
 
 /* ----------------------------------------------------------------------------- the rule */
-/* Feedback has neither the received sequence nor the power. */
+/* In this table, feedback has neither the received sequence nor the power. */
 static void two_reports_with_a_power_off_between_prove_it_where_feedback_has_no_power(void)
 {
     begin();
@@ -203,7 +204,8 @@ static void two_reports_with_a_power_off_between_prove_it_where_feedback_has_no_
     m->off_first_ns = 0;
     board_look_for_proof(m);
     CHECK(m->off_waits);
-    m->off_first_ns = m->off_again_ns = 1, m->off_word_ns = 2; /* only 0 is no time */
+    m->off_first_ns = m->off_again_ns = 1, m->off_word_ns = 2; /* only a time of 0 means that
+                                                                  nothing was sent */
     board_look_for_proof(m);
     CHECK(!m->off_waits);
 }
@@ -222,7 +224,7 @@ static void feedback_from_before_the_power_off_proves_nothing(void)
     CHECK(!m->off_waits);
 }
 
-/* A line whose clock starts with it: its first power-off is sent at 1 ns, and feedback comes at
+/* The clock begins with the line: its first power-off is sent at 1 ns, and feedback arrives at
  * once. */
 static void begins_and_ends_at_the_first_nanosecond(board_table table, const char *word)
 {

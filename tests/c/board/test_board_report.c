@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a board's line reports of itself: every field from its own place, and no other. */
+ * The report of a board's line: each field has its own value. */
 #include "board_wire.h"
 
 int main(void)

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Which tables of a board are refused, and by which name: each number at the edge of what it may
- * be, and beyond. */
+ * Which tables of a board are refused, and which field is named: each number at the end of its
+ * range and beyond. */
 #include "board_wire.h"
 
 static const int64_t LONGEST_NS = INT64_C(100000000000);
@@ -58,7 +58,7 @@ static void the_numbers_of_a_board(void)
     BAD(t.rest_velocity_rad_s, -0.1, "rest_velocity_rad_s");
     BAD(t.rest_velocity_rad_s, (double)INFINITY, "rest_velocity_rad_s");
     BAD(t.rest_velocity_rad_s, (double)NAN, "rest_velocity_rad_s");
-    t = frames_table(); /* the shortest payload that there is */
+    t = frames_table(); /* the shortest valid payload */
     t.payload_bytes = t.setpoint_count = 1;
     t.quick_stop_count = t.disarm_count = 0;
     t.setpoint[0].place = at(0, 1, 1);
@@ -201,11 +201,11 @@ static void the_axes_of_a_sensor(void)
         BAD(t.imu.axis[axis], 3, "imu.axis");
     }
     t = frames_table();
-    t.imu.used = 1; /* in frames the protocol fixes the place of its rate */
+    t.imu.used = 1; /* frames have a fixed place for the rate */
     CHECK(is_good());
 }
 
-/* "m %d,%+.2f\n" goes out; "a %d b %f" comes. */
+/* The board is sent "m %d,%+.2f\n", and reports "a %d b %f". */
 static void begin_text(void)
 {
     t = frames_table();
@@ -261,7 +261,7 @@ static void template_parts_have_known_forms(void)
     TEXT_GOOD(t.written.part[1].form, NUMBER_GENERAL);
     TEXT_BAD(t.written.part[1].form, NUMBER_GENERAL + 1, "written.part.form");
     TEXT_GOOD(t.written.part[1].form, NUMBER_NONE);
-    /* no number only at the end */
+    /* only the last part may have no number */
     TEXT_BAD(t.written.part[0].form, NUMBER_NONE, "written.part.form");
     TEXT_GOOD(t.read.part[1].form, NUMBER_NONE);
     TEXT_BAD(t.read.part[0].form, NUMBER_NONE, "read.part.form");
@@ -287,25 +287,25 @@ static void numbers_are_written_exactly_and_in_a_width_that_fits(void)
     TEXT_BAD(t.written.part[1].width, 100, "written.part.width");
     TEXT_GOOD(t.written.part[1].precision, 99);
     TEXT_BAD(t.written.part[1].precision, 100, "written.part.width");
-    /* 1e6 raw by 1e9 are 1e15: every integer up to there is a double */
+    /* 1e6 raw times 1e9 is 1e15: a double represents all integers up to there */
     TEXT_GOOD(t.written.part[0].number_per_raw[0], 1e9);
     TEXT_GOOD(t.written.part[0].number_per_raw[0], -1e9);
     TEXT_BAD(t.written.part[0].number_per_raw[0], 1.000001e9, "written.part.number_per_raw");
     TEXT_BAD(t.written.part[0].number_per_raw[0], -1.000001e9, "written.part.number_per_raw");
     TEXT_BAD(t.written.part[0].number_per_raw[0], (double)NAN, "written.part.number_per_raw");
     begin_text();
-    /* together it is too much */
+    /* too large only together */
     t.written.part[0].number_per_raw[0] = t.written.part[0].number_per_raw[1] = 0.6e9;
     CHECK(refused("written.part.number_per_raw"));
     begin_text();
     t.written.part[0].number_per_raw[0] = 1e9;
-    t.setpoint[0].scale.raw_min = -2e6; /* the greater side counts */
+    t.setpoint[0].scale.raw_min = -2e6; /* the end of the range that is farther from zero counts */
     CHECK(refused("written.part.number_per_raw"));
     begin_text();
     t.written.part[0].number_per_raw[0] = 1e9;
     t.setpoint[0].scale.raw_max = 2e6;
     CHECK(refused("written.part.number_per_raw"));
-    begin_text(); /* of set-points that there are */
+    begin_text(); /* a set-point beyond the count */
     t.setpoint[t.setpoint_count] = t.setpoint[0];
     t.written.part[0].number_per_raw[t.setpoint_count] = 1e300;
     CHECK(is_good());
@@ -324,13 +324,13 @@ static void the_text_after_a_number_cannot_continue_the_number(void)
     TEXT_BAD(t.read.part[1].literal_bytes, 0, "read.part.literal_bytes");
     TEXT_GOOD(t.read.part[0].literal_bytes, 0);
     begin_text();
-    /* nothing parts it from the number before */
+    /* no text separates it from the number before it */
     t.read.part[1] = (board_part){.form = NUMBER_NONE};
     CHECK(refused("read.part.literal_bytes"));
     TEXT_BAD(t.read.part[0].raw_per_number, (double)INFINITY, "read.part.raw_per_number");
     TEXT_BAD(t.read.part[1].place.byte, 33, "read.place.byte");
     begin_text();
-    t.read.part[1].form = NUMBER_NONE; /* what is no number has no place */
+    t.read.part[1].form = NUMBER_NONE; /* a part without a number has no place */
     t.read.part[1].place.byte = 33;
     CHECK(is_good());
 }

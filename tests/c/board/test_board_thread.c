@@ -1,13 +1,14 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board's thread on a socket pair, with the reference board, asyncio's side and the loop's side
- * in threads of their own: for the sanitizers. Nothing is shared but what api_board.h and the
- * exchange pass on. */
+ * The thread of a board on a socket pair. The reference board, asyncio and the loop are threads,
+ * too, so that sanitizers find data races. The threads share only what api_board.h and the exchange
+ * pass on. */
 #include <errno.h>
 
 #include "board_wire.h"
 #include "thread_sides.h"
 
-/* What docs/mcu/motord_mcu.ino does in its loop; how often it was sent motion. */
+/* Does what the loop of docs/mcu/motord_mcu.ino does. `arg` counts how often a wheel was to
+ * turn. */
 static void *sketch(void *arg)
 {
     unsigned long *turned = arg;
@@ -90,7 +91,7 @@ int main(void)
     pthread_t loop, peer;
     unsigned long turned = 0;
     board_table table = frames_table();
-    table.silence_ns = 5000 * MS; /* a sanitizer makes everything slow */
+    table.silence_ns = 5000 * MS; /* long, because a sanitizer makes everything slow */
     table.setpoint_timeout_ns = 5000 * MS;
     exchange_init(&shared);
     CHECK(socketpair(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK, 0, ends) == 0);
@@ -105,7 +106,7 @@ int main(void)
     CHECK(turned > 0);
     CHECK(close(ends[1]) == 0);
     int32_t error = wait_for(DRIVE_ARMED).life.error;
-    /* the other end has gone: the thread reports it, and ends */
+    /* the other end is closed: the thread reports it and ends */
     CHECK(error == EIO || error == EPIPE);
     CHECK(board_stop(0) == 0);
     return checks_report("board thread");

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A board in every mode, and every event. */
+ * A board in every mode, and the effect of every event. */
 #include "board_wire.h"
 #include "drive_walk.h"
 
@@ -15,7 +15,7 @@ static void begin_board(void)
     w.measured[0].velocity_mrad_s = 3000;
 }
 
-/* A board that is not set up reports it, and is not READY for long. */
+/* READY takes a set-up: a board without one reports that, and does not stay READY. */
 static void request_mode(uint32_t mode)
 {
     if (mode == DRIVE_READY && w.machine.state.mode == DRIVE_OFF) {

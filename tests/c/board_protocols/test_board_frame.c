@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
  * test_board_frame: frames of docs/mcu-frame.md, built and parsed, and input that is not a frame.
- * Each buffer is as long as its content, so that a sanitizer sees one byte more. */
+ * Each buffer has the length of its content, so that a sanitizer sees an access beyond it. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -9,7 +9,7 @@
 
 enum { CRC_BYTES = 2, TYPE = 0x81 };
 
-/* CRC-16/IBM-3740 of the catalogue of reveng.sourceforge.io: check 0x29B1. */
+/* CRC-16/IBM-3740 in the catalogue of reveng.sourceforge.io, whose check value is 0x29B1. */
 static uint16_t crc_of(const uint8_t *data, uint32_t count)
 {
     uint16_t crc = 0xFFFF;
@@ -26,7 +26,7 @@ static void seal(uint8_t *raw, uint32_t body)
     raw[body] = (uint8_t)crc, raw[body + 1] = (uint8_t)(crc >> 8);
 }
 
-/* One block for each stretch without a zero, however the frame's own rules would have it. */
+/* Stuffs a frame of any length: one block for each stretch without a zero. */
 static uint32_t stuffed_of(const uint8_t *raw, uint32_t count, uint8_t *out)
 {
     uint32_t at = 0, begin = 0;
@@ -60,7 +60,7 @@ static uint32_t read_back(const uint8_t *raw, uint32_t count)
     return parsed(stuffed, stuffed_of(raw, count, stuffed), NULL);
 }
 
-/* A head and a payload without a zero, its check sum without one too. */
+/* Makes a frame without a zero in head, payload and check sum. */
 static uint32_t without_zeros(uint8_t *raw, uint32_t count)
 {
     memset(raw, 0x55, count);
@@ -104,7 +104,7 @@ static void a_truncated_or_damaged_frame_is_refused(void)
 {
     uint8_t raw[BOARD_FRAME_MAX], stuffed[2 * 256];
     uint32_t count = without_zeros(raw, 40);
-    raw[20] = 0; /* two blocks */
+    raw[20] = 0; /* the zero makes two blocks of it */
     seal(raw, 38);
     uint32_t all = stuffed_of(raw, count, stuffed);
     CHECK(parsed(stuffed, all, NULL) == 38);
@@ -121,7 +121,7 @@ static void a_truncated_or_damaged_frame_is_refused(void)
     }
 }
 
-/* Not even with a correct check sum: a zero ends a frame. */
+/* Also a frame with a correct check sum is refused: a zero ends a frame. */
 static void a_zero_within_a_block_ends_the_frame(void)
 {
     uint8_t raw[BOARD_FRAME_MAX], stuffed[256];

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_json: lines that are JSON objects, read by the names of their members. Buffers are as
- * long as what is in them, so that a sanitizer sees one byte more. */
+ * test_board_json: lines that are JSON objects, read by the names of their members. Each buffer has
+ * the length of its content, so that a sanitizer sees an access beyond it. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -24,7 +24,7 @@ static void add(const char *name, board_part part)
     text.part[text.part_count++] = part;
 }
 
-/* {"T":1001,"L":left,"R":right}, thousandths. */
+/* Lines are {"T":1001,"L":left,"R":right}; raw values are thousandths. */
 static void begin(void)
 {
     memset(&text, 0, sizeof text);
@@ -87,8 +87,8 @@ static void text_that_is_no_such_object_is_refused(void)
         "{\"T\":1001,\"L\":1e999,\"R\":-0.5}",
         "{\"T\":1001,\"L\":0.25x,\"R\":-0.5}",
         "{\"T\":1001,\"L\":0.25}",            /* R is missing */
-        "{\"L\":0.25,\"R\":-0.5}",            /* of no type */
-        "{\"T\":1003,\"L\":0.25,\"R\":-0.5}", /* of another type */
+        "{\"L\":0.25,\"R\":-0.5}",            /* T is missing */
+        "{\"T\":1003,\"L\":0.25,\"R\":-0.5}", /* another type */
         "{\"T\":1001,\"L\":0.25,\"L\":0.5,\"R\":-0.5}",
         "{\"T\":1001,\"L\":0.25,\"R\":-0.5,\"s\":\"}",
         "{\"T\":1001,\"L\":0.25,\"R\":-0.5,\"s\":\"\\",
@@ -202,7 +202,7 @@ static void tables_of_names_are_refused_where_they_cannot_be_read(void)
     table.read.part[2].place.byte = 7;
     CHECK(refused(&table, "read.place.byte"));
     table = table_of_text();
-    table.read.json = 0; /* a constant is for JSON alone */
+    table.read.json = 0; /* only JSON has a constant */
     CHECK(refused(&table, "read.part.form"));
 }
 

@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_packets: packets of the hoverboard FOC firmware, byte by byte, and how a stream is
- * found again. Buffers are as long as what is in them, so that a sanitizer sees one byte more. */
+ * test_board_packets: packets of the hoverboard FOC firmware, byte by byte, and how a receiver
+ * finds the next packet in a stream. Each buffer has the length of its content, so that a sanitizer
+ * sees an access beyond it. */
 #include <stdlib.h>
 
 #include "board_wire.h"
@@ -24,7 +25,7 @@ static void build_hoverboard(int64_t left, int64_t right, uint32_t mixed, uint8_
 static const struct {
     int left, right;
     uint32_t mixed;
-    int first, second; /* on the wire */
+    int first, second; /* words on the wire */
 } COMMANDS[] = {
     {0, 0, 0, 0, 0},
     {100, -200, 0, 100, -200},
@@ -62,7 +63,7 @@ static void a_command_has_start_word_two_set_points_and_their_exclusive_or(void)
     }
 }
 
-/* A feedback whose values are from `first` on, and its check sum in the same words. */
+/* Makes feedback with a check sum. Its bytes count up from `first`. */
 static void make_feedback(uint8_t first, uint8_t *out)
 {
     out[0] = 0xCD;
@@ -119,12 +120,12 @@ static void a_torn_frame_does_not_cost_the_next_one(void)
         begin_stream();
         make_feedback(1, frame);
         feed(frame, FRAME);
-        feed(frame, kept); /* the rest of it is lost */
+        feed(frame, kept); /* its rest is lost */
         make_feedback(100, frame);
         feed(frame, FRAME);
         CHECK(good == 2 && bad == (kept > 0) && values[0] == 100);
         begin_stream();
-        feed(frame + kept, FRAME - kept); /* the port was opened in its middle */
+        feed(frame + kept, FRAME - kept); /* the port was opened within a frame */
         CHECK(good == (kept == 0) && bad == 0);
         feed(frame, FRAME);
         CHECK(good == 1 + (kept == 0) && values[0] == 100);
@@ -148,9 +149,9 @@ static void every_flipped_bit_is_seen_and_the_next_frame_is_good(void)
     }
 }
 
-/* No value is near the start word, so such a frame is one that noise has made, and the next one is
- * whole. (Right behind the start word it would not be: the same words in another order, with the
- * next start word for a check sum.) */
+/* The bytes of the values are not near those of the start word, so noise has made the one in this
+ * frame, and the next frame is whole. (With a second start word right after the first, the next one
+ * would be lost: its start word would be the check sum of the same words in another order.) */
 static void a_start_word_among_the_values_is_no_feedback_and_does_not_hide_the_frame_after(void)
 {
     for (uint32_t byte = 1; byte + 1 < VALUES; byte++) {
@@ -179,7 +180,7 @@ static void a_start_word_among_the_values_is_no_feedback_and_does_not_hide_the_f
     CHECK(good == 1 && values[0] == 3);
 }
 
-/* The last value's second byte and the check sum's first may have any value. */
+/* The second byte of the last value and the first byte of the check sum may be any. */
 static void single_bytes_of_the_start_word_may_stand_anywhere(void)
 {
     static const uint8_t parts[] = {0xCD, 0xAB};
@@ -226,14 +227,14 @@ static void a_wrong_start_word_is_dropped_at_once_whatever_the_check_sum(void)
     CHECK(good == 1 && bad == 1 && tail.count == 0);
 }
 
-/* All sums of a turned frame are good: the words are the same. With a check sum of 0xABCD it
- * even begins well. */
+/* The second half of a frame and the first half of the next have a good sum, as the words are the
+ * same. With a check sum of 0xABCD they also begin with a start word. */
 static void halves_of_two_equal_frames_are_no_feedback(void)
 {
     uint8_t frame[FRAME];
     make_feedback(0, frame);
     memset(frame + 2, 0, VALUES);
-    frame[2] = 5, frame[10] = 5; /* equal words, so that the check sum is the start word */
+    frame[2] = 5, frame[10] = 5; /* equal words, so that the check sum equals the start word */
     frame[16] = 0xCD, frame[17] = 0xAB;
     begin_stream();
     feed(frame + 16, 2);
@@ -253,7 +254,7 @@ static void bytes_outside_of_frames_are_counted_once_until_the_stream_is_found_a
     make_feedback(3, frame);
     begin_stream();
     feed(noise, 6);
-    CHECK(good == 0 && bad == 0); /* nothing was found yet that could be lost */
+    CHECK(good == 0 && bad == 0); /* not counted before the first good frame */
     feed(frame, FRAME);
     feed(noise, 6);
     feed(noise, sizeof noise);
@@ -354,7 +355,8 @@ static void a_hoverboard_that_falls_silent_is_sent_zero_and_disarmed(void)
     CHECK(w.machine.received == received && w.machine.state.mode == DRIVE_UNRESPONSIVE &&
           sends(0, 0));
     go_on_saying(100 * MS, 0, 0);
-    CHECK(w.machine.state.mode != DRIVE_ARMED && sends(0, 0)); /* it is back, and not armed */
+    CHECK(w.machine.state.mode != DRIVE_ARMED && sends(0, 0)); /* it has returned, and is not
+                                                                  armed */
 }
 
 static void frames_with_a_wrong_sum_are_silence(void)

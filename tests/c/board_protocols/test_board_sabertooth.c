@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_sabertooth: packets of one Sabertooth and of several on a wire, byte by byte. Buffers
- * are as long as what is in them, so that a sanitizer sees one byte more. */
+ * test_board_sabertooth: packets of one Sabertooth and of several on a wire, byte by byte. Each
+ * buffer has the length of its content, so that a sanitizer sees an access beyond it. */
 #include <stdlib.h>
 
 #include "board_wire.h"
@@ -21,7 +21,7 @@ static uint32_t build_sabertooth(uint32_t unit, uint32_t timeout, int one, int o
 
 static void each_motor_has_a_packet_with_its_direction_and_the_sum_of_seven_bits(void)
 {
-    /* the first is the user's guide's */
+    /* the first packet is the example of the user's guide */
     static const uint8_t forward[] = {130, 0, 64, 66, 130, 4, 127, 5};
     static const uint8_t backward[] = {135, 1, 1, 9, 135, 5, 127, 11};
     uint8_t out[3 * SABERTOOTH_PACKET_BYTES];
@@ -40,7 +40,7 @@ static void the_time_out_is_sent_with_every_set_point(void)
     CHECK(build_sabertooth(128, 3, 0, 0, out) == sizeof still &&
           memcmp(out, still, sizeof still) == 0);
     CHECK(build_sabertooth(128, 127, 0, 0, out) == sizeof still && out[2] == 127);
-    /* no address among the values */
+    /* values stay below 128: a higher byte is an address */
     CHECK(build_sabertooth(128, 128, 0, 0, out) == sizeof still && out[2] == 127);
     CHECK(build_sabertooth(128, 255, 5, 5, out) == sizeof still && out[2] == 127);
 }
@@ -88,15 +88,15 @@ static void a_sabertooth_counts_as_present_while_its_port_takes_bytes(void)
     request(DRIVE_ARMED);
     go_on(50 * MS);
     CHECK(w.sent_bytes == sizeof turning && memcmp(w.sent, turning, sizeof turning) == 0);
-    /* an echo is nothing that it reports */
+    /* a copy of what was sent is no feedback */
     board_machine_receive(&w.machine, turning, sizeof turning, w.now_ns);
     CHECK(w.machine.bad_frames == 0 && w.machine.feedback_bytes == 0);
-    w.enabled = 2; /* set-points come no more */
+    w.enabled = 2; /* no set-points come any more */
     go_on(300 * MS);
     CHECK(w.machine.state.mode != DRIVE_ARMED && memcmp(w.sent, still, sizeof still) == 0);
 }
 
-/* Joint 0 is motor 2 of the one at 129, joint 1 motor 1 of the one at 130. */
+/* Joint 0 is motor 2 of unit 129, joint 1 is motor 1 of unit 130. */
 static board_table two_sabertooths(void)
 {
     board_table table = sabertooth_table();
@@ -159,7 +159,7 @@ static void tables_of_packets_that_do_not_fit_are_refused(void)
     CHECK(strcmp(board_table_check(&table, name), "unit_count") == 0);
     table = two_sabertooths();
     CHECK(board_table_check(&table, name) == NULL);
-    table.unit[0] = 130; /* the same as the other */
+    table.unit[0] = 130; /* both units are the same */
     CHECK(strcmp(board_table_check(&table, name), "unit") == 0);
     table.unit[0] = 131;
     CHECK(strcmp(board_table_check(&table, name), "unit") == 0);

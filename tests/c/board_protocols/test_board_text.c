@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_text: lines of text, written and read by a template. Buffers are as long as what is in
- * them, so that a sanitizer sees one byte more. */
+ * test_board_text: lines of text, written and read by a template. Each buffer has the length of its
+ * content, so that a sanitizer sees an access beyond it. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -22,7 +22,7 @@ static void add(board_text *text, const char *literal, board_part part)
 }
 
 /* ------------------------------------------------------------------------------ writing */
-/* One number, which is the first set-point's 0.001 and the second one's 1. */
+/* Writes one number: 0.001 times the first set-point plus the second one. */
 static uint32_t written(board_part part, const char *literal, int64_t one, int64_t other,
                         uint8_t *out)
 {
@@ -35,10 +35,10 @@ static uint32_t written(board_part part, const char *literal, int64_t one, int64
         board_put(payload, &table.setpoint[i].place, raw[i]);
     }
     part.number_per_raw[0] = 0.001, part.number_per_raw[1] = 1.0;
-    /* there is no such set-point */
+    /* a set-point beyond the count */
     table.setpoint[2] = table.setpoint[0], part.number_per_raw[2] = 1e9;
     add(&table.written, literal, part);
-    table.written.part[1].literal_bytes = 1; /* nor such a part */
+    table.written.part[1].literal_bytes = 1; /* a part beyond the count */
     return board_text_write(&table, payload, out);
 }
 
@@ -111,8 +111,8 @@ static void a_line_is_refused_where_it_does_not_fit(void)
 }
 
 /* ------------------------------------------------------------------------------ reading */
-/* By "literal NUMBER end", and `@` in the line is a zero byte; the number times 1000 in four
- * bytes with a sign. */
+/* Reads a line of "literal NUMBER end". `@` in the line stands for a zero byte. `raw` is the number
+ * times 1000, in four signed bytes. */
 static uint32_t read_line(const char *literal, const char *end, const char *line, int64_t *raw)
 {
     board_text text = {0};
@@ -122,7 +122,7 @@ static uint32_t read_line(const char *literal, const char *end, const char *line
     if (end != NULL) {
         add(&text, end, (board_part){.form = NUMBER_NONE});
     }
-    text.part[text.part_count].literal_bytes = 1; /* there is no such part */
+    text.part[text.part_count].literal_bytes = 1; /* a part beyond the count */
     uint32_t count = (uint32_t)strlen(line), nul = (uint32_t)strcspn(line, "@");
     uint8_t *bytes = malloc(count > 0 ? count : 1), payload[3 + RAW_BYTES] = {0};
     memcpy(bytes, line, count);
@@ -191,7 +191,8 @@ static void text_that_is_no_number_is_refused(void)
     }
 }
 
-/* So far from all numbers that a double has, and back again by its digits. */
+/* The value of the exponent is beyond any double; the digits bring the number back into the
+ * range. */
 static void an_exponent_is_read_up_to_the_range_of_numbers(void)
 {
     char line[BOARD_TEXT_MAX + 1] = "0.";

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_board_values: set-points into a payload, a payload into feedback, number by number. */
+ * test_board_values: the conversion of set-points to a payload, and of a payload to feedback. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -34,7 +34,7 @@ static void a_number_of_each_length_is_read_as_it_was_written(void)
 
 static board_machine *m;
 
-/* Two joints, 10 and 20 raw a rad/s; the third set-point is not counted. */
+/* Joints 0 and 1 have 10 and 20 raw per rad/s; the third set-point is beyond the count. */
 static void begin(void)
 {
     memset(m, 0, sizeof *m);
@@ -74,7 +74,8 @@ static void a_payload_moves_when_any_of_its_set_points_does(void)
     CHECK(payload_of(2.0, 0.0, &one, &other) && one == 20 && other == 0);
     CHECK(payload_of(0.0, -2.0, &one, &other) && one == 0 && other == -40);
     CHECK(payload_of(1.0, 1.0, &one, &other) && one == 10 && other == 20);
-    CHECK(!payload_of(0.04, -0.02, &one, &other) && one == 0 && other == 0); /* less than a count */
+    CHECK(!payload_of(0.04, -0.02, &one, &other) && one == 0 && other == 0); /* less than one raw
+                                                                                unit */
     CHECK(payload_of(1e9, -1e9, &one, &other) && one == 1000 && other == -1000);
     CHECK(!payload_of((double)NAN, (double)INFINITY, &one, &other) && one == 0 && other == 0);
 }
@@ -115,7 +116,8 @@ static void each_field_goes_to_the_value_that_it_means(void)
     field(3, 0, FIELD_VOLTAGE, 6);
     field(4, 0, FIELD_TEMPERATURE, 8);
     field(5, 1, FIELD_COUNT, 10);
-    m->table.field[6] = m->table.field[0]; /* not counted: joint 0 would read what follows */
+    m->table.field[6] = m->table.field[0]; /* beyond the count: joint 0 would read the value after
+                                              the last */
     m->table.field[6].place.byte = 12;
     const int64_t raw[] = {0x7123, -8, 6, 48, 50, -1, 77};
     for (uint32_t i = 0; i < 7; i++) {

@@ -8,7 +8,8 @@ static void feedback_is_counts_and_si_in_the_board_s_time(void)
     begin();
     arm_and_turn();
     w.velocity_rad_s = 2.0;
-    w.health.faults = 4; /* a warning: harmless to the core, but the reference board switches off */
+    w.health.faults = 4; /* a warning: harmless to the core, but it switches the reference board
+                            off */
     go_on(40 * MS);
     const joint_feedback *feedback = &w.machine.joint[1].feedback;
     CHECK(feedback->voltage_v == 24.0 && isnan(feedback->current_a) && feedback->drive_faults == 0);
@@ -17,7 +18,7 @@ static void feedback_is_counts_and_si_in_the_board_s_time(void)
     CHECK((w.machine.feedback_mask & 3) == 3);
 }
 
-/* The same bytes, cut anywhere: the same machine. */
+/* A stream that is cut anywhere leads to the same machine. */
 static void the_stream_may_come_in_any_pieces(void)
 {
     static uint8_t stream[4096];
@@ -61,7 +62,7 @@ static void noise_is_counted_and_changes_nothing(void)
     board_machine_receive(&w.machine, noise, sizeof noise, w.now_ns);
     CHECK(w.machine.bad_frames == 1);
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
-    /* for a board, not for us */
+    /* a frame to a board, which a board does not send */
     uint32_t count = board_frame_build(BOARD_TYPE_SETPOINTS, 1, 2, payload, 36, frame);
     board_machine_receive(&w.machine, frame, count, w.now_ns);
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 35, frame); /* too short */
@@ -97,7 +98,7 @@ static void feedback_from_before_a_write_was_received_is_ignored(void)
 {
     begin();
     arm();
-    /* restarted, not enabled: of long ago */
+    /* restarted and not enabled: from long ago */
     uint8_t frame[BOARD_WIRE_MAX], payload[BOARD_PAYLOAD_MAX] = {0};
     payload[STATUS] = STATUS_RESTARTED;
     board_place received = at(6, 2, 0);
@@ -107,8 +108,8 @@ static void feedback_from_before_a_write_was_received_is_ignored(void)
     CHECK(w.machine.state.mode == DRIVE_ARMED);
     board_place ago = at(8, 2, 0);
     board_put(payload, &received, w.machine.sequence);
-    board_put(payload, &ago, 60000); /* received six seconds ago: before it was sent, by an earlier
-                                        program */
+    board_put(payload, &ago, 60000); /* received six seconds ago, by an earlier program: before it
+                                        was sent */
     count = board_frame_build(BOARD_TYPE_FEEDBACK, 1, 2, payload, 36, frame);
     board_machine_receive(&w.machine, frame, count, w.now_ns);
     CHECK(w.machine.state.mode == DRIVE_ARMED);
@@ -149,7 +150,7 @@ static void half_a_line_is_not_read_and_an_endless_one_is_dropped(void)
 {
     begin_with(text_table(true));
     request(DRIVE_READY);
-    receive("v 9\nv 1.5\r\n"); /* the first may have begun anywhere */
+    receive("v 9\nv 1.5\r\n"); /* the first line may be the end of another */
     CHECK(w.machine.joint[0].feedback.velocity_rad_s == 1.5 && w.machine.received == 1 &&
           w.machine.bad_frames == 0);
     for (uint32_t i = 0; i < 100; i++) {
@@ -187,7 +188,7 @@ static void a_line_has_its_own_time_and_no_values_of_older_lines(void)
 {
     board_table table = text_table(true);
     table.feedback_bytes = 8;
-    table.read.part[0].place = at(2, 6, 1); /* the first two bytes are in no line */
+    table.read.part[0].place = at(2, 6, 1); /* no line fills the first two bytes */
     table.field[0].place = at(2, 6, 1);
     table.field[table.field_count++] = field_of(1, FIELD_FAULT, at(0, 2, 0), 1.0);
     begin_with(table);
@@ -204,7 +205,7 @@ static void a_line_has_its_own_time_and_no_values_of_older_lines(void)
 static void a_line_that_cannot_be_written_is_not_sent(void)
 {
     begin_with(text_table(false));
-    /* with the other number it is too long */
+    /* the line is too long together with the other number */
     w.machine.table.written.part[1].width = BOARD_TEXT_MAX;
     go_on(50 * MS);
     CHECK(w.sent_count == 0 && w.machine.sent == 0 && w.machine.no_room >= 2);
@@ -216,7 +217,7 @@ static bool is_near(double is, double wanted)
     return fabs(is - wanted) < 1e-9;
 }
 
-/* Sensor's y up and z forward, so x is left: docs/imu.md. */
+/* The sensor's y axis points up and its z axis forward, so x points left: docs/imu.md. */
 static board_imu mounted(void)
 {
     return (board_imu){.used = 1, .epoch = 3, .axis = {2, 0, 1}, .backward = {0, 0, 1}};
@@ -255,7 +256,7 @@ static void samples_of_a_sensor_are_in_the_base_s_axes(void)
     sensor_flags = 0;
     CHECK(report_with_sensor(56) && imu->saturated == 0);
     sensor_flags = 1;
-    /* it announces a sensor, and ends before it */
+    /* it announces a sensor, and ends before the sample */
     CHECK(!report_with_sensor(55) && w.machine.bad_frames == 1);
     table.imu.used = 0;
     begin_with(table);
@@ -270,8 +271,7 @@ static void the_rate_of_a_text_is_about_z(void)
     board_table table = text_table(true);
     table.imu = mounted();
     table.imu.axis[2] = 2;
-    table.imu.rate_z = at(0, 6, 1); /* the number that is read, in units of 1e-6 rad/s: times 1000
-                                       here */
+    table.imu.rate_z = at(0, 6, 1); /* the number in the line, in 1e-6 rad/s here: times 1000 */
     begin_with(table);
     receive("\nv 500\n");
     CHECK(w.machine.imu_is_new && is_near(w.machine.imu.angular_rad_s[2], -0.5) &&

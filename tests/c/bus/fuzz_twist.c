@@ -13,8 +13,8 @@ enum { FUZZ_MAX = 160 };
 static void once(const uint8_t *data, size_t size)
 {
     static uint8_t room[FUZZ_MAX];
-    uint8_t *last = room + sizeof room - size; /* a look beyond the last byte is seen by the
-                                                  sanitizer */
+    uint8_t *last = room + sizeof room - size; /* at the very end: the sanitizer sees a read beyond
+                                                  it */
     memcpy(last, data, size);
     if (size > 16 && data[size - 1] % 2 != 0) {
         last[0] = 0;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * An input of ROS 2 ends while commands arrive, in every order in which lease and listener may
- * end: after it nothing is sent or notified. This program replaces Cyclone's library:
+ * An input of ROS 2 ends while commands arrive, with lease and listener ending in either order:
+ * after that it sends and notifies nothing. This program replaces the library Cyclone DDS:
  * receiver_library finds its functions here. */
 #include <errno.h>
 #include <poll.h>
@@ -37,14 +37,14 @@ typedef struct {
 
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 static pthread_cond_t changed = PTHREAD_COND_INITIALIZER;
-static dds_listener current; /* of the reader */
+static dds_listener current; /* the listener of the reader */
 static int calling;
 static ddsi_serdata twist;
 static _Atomic int held;
 static _Atomic uint64_t deliveries;
 static _Atomic bool over;
 
-/* ------------------------------------------------------------- what motord calls of the library */
+/* ------------------------------------------- the functions of the DDS library that motord calls */
 dds_listener *dds_create_listener(void *arg);
 void dds_lset_data_available(dds_listener *listener, void (*call)(int32_t reader, void *arg));
 int32_t dds_set_listener(int32_t reader, const dds_listener *listener);
@@ -67,7 +67,7 @@ void dds_lset_data_available(dds_listener *listener, void (*call)(int32_t reader
     listener->call = call;
 }
 
-/* As dds_entity.c: it waits for a running call. */
+/* Like dds_entity.c: waits for a running call. */
 int32_t dds_set_listener(int32_t reader, const dds_listener *listener)
 {
     CHECK(reader == READER && pthread_mutex_lock(&lock) == 0);
@@ -84,7 +84,7 @@ void dds_delete_listener(dds_listener *listener)
     *listener = (dds_listener){.arg = NULL};
 }
 
-/* Two at a time, so that a call ends. */
+/* Gives two samples at a time, so that a call ends. */
 int32_t dds_takecdr(int32_t reader, ddsi_serdata **data, uint32_t count, sample_info *info,
                     uint32_t mask)
 {
@@ -113,7 +113,7 @@ void ddsi_serdata_unref(ddsi_serdata *data)
     held--;
 }
 
-/* As dds_reader.c: a waiting call uses the listener that is set when it runs. */
+/* Like dds_reader.c: a call that waits uses the listener that is set when it runs. */
 static void *receives(void *unused)
 {
     (void)unused;
@@ -135,7 +135,7 @@ static void *receives(void *unused)
 }
 
 /* ------------------------------------------------------------------------------------- the test */
-/* In plain CDR, little-endian, without a frame: 0.5 m/s, stamped now. */
+/* A twist in plain CDR, little-endian, without a frame: 0.5 m/s, stamped now. */
 static void stamp_twist(void)
 {
     const double linear_m_s = 0.5;
@@ -176,7 +176,7 @@ static void one_ends(int round)
         (void)received(lease[1]);
     }
     CHECK(newest.linear_m_s == 0.5);
-    if (round % 2 == 0) { /* the lease goes first: no command under it, whatever arrives */
+    if (round % 2 == 0) { /* the lease ends first: what arrives then is not sent as a command */
         (void)receiver_let_go(number);
         (void)received(lease[1]);
         later();
@@ -184,7 +184,7 @@ static void one_ends(int round)
     }
     CHECK(receiver_stop(number) == 0);
     CHECK(close(event_fd) == 0);
-    int other_fd = eventfd(0, EFD_NONBLOCK); /* another file of the process may have its number by
+    int other_fd = eventfd(0, EFD_NONBLOCK); /* another file of the process may have the same number
                                                 now */
     CHECK(other_fd == event_fd);
     (void)received(lease[1]);
@@ -200,7 +200,7 @@ int main(void)
 {
     pthread_t thread;
     stamp_twist();
-    CHECK(receiver_library("") == 0); /* the program itself */
+    CHECK(receiver_library("") == 0); /* the library is this program itself */
     CHECK(pthread_create(&thread, NULL, receives, NULL) == 0);
     for (int round = 0; round < ROUNDS; round++) {
         one_ends(round);

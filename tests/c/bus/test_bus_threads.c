@@ -1,6 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Two threads command under one lease while it changes hands: the daemon sees each lease's numbers
- * grow one by one. A thread that holds the lock has the priority of the one that waits for it. */
+ * Two threads command under one lease while the lease changes: the daemon sees the sequence numbers
+ * of each lease grow. A thread that holds the lock has the priority of the thread that waits for
+ * it. */
 #include <errno.h>
 #include <poll.h>
 #include <pthread.h>
@@ -19,7 +20,7 @@ static outlet shared;
 static int pairs[LEASES][2];
 static _Atomic int senders = 2;
 
-/* As the receiver's thread and as Python: neither loses what it sent while there was a lease. */
+/* Sends like the receiver's thread, or like Python. No command is lost while there is a lease. */
 static void *commands(void *direct)
 {
     command_datagram own = {
@@ -48,8 +49,8 @@ static int received(int lease, uint64_t *sequence)
     return count;
 }
 
-/* As the scheduler sees this thread: below zero with a real-time priority, its own or a lent
- * one. */
+/* Returns the priority of this thread in the scheduler: negative if it is a real-time priority, its
+ * own or an inherited one. */
 static int priority(void)
 {
     FILE *file = fopen("/proc/thread-self/stat", "r");

@@ -27,7 +27,8 @@ static void put_double(uint8_t *at, double value, int order)
     put(at, bits, sizeof bits, order);
 }
 
-/* With a frame_id of this many bytes, including its end; returns the length. */
+/* Encodes a TwistStamped. `frame_bytes`: length of its frame_id with the terminating zero. Returns
+ * the length of the whole. */
 static size_t encoded(uint8_t *raw, uint32_t frame_bytes, int order, const double *twist)
 {
     size_t at = 4 + ((12 + (size_t)frame_bytes + 7) & ~(size_t)7);
@@ -79,7 +80,7 @@ static void a_twist_of_another_encoding_or_length_is_refused(void)
     raw[1] = 7; /* version 2 of the encoding */
     CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
     CHECK(twist_parse(raw, encoded(raw, 0, LITTLE, twist), &found) == 0);
-    raw[1] = 2; /* with no frame_id it would be read in either order */
+    raw[1] = 2; /* without a frame_id both byte orders would read it */
     CHECK(twist_parse(raw, bytes, &found) == 1 + TWIST_NOT_ONE);
     bytes = encoded(raw, 5, LITTLE, twist);
     raw[0] = 1;
@@ -146,7 +147,7 @@ static void a_lease_numbers_all_commands_sent_under_it(void)
     CHECK(outlet_send(&o, &own, sizeof own, -1) == 0);
     came = received(first[1]);
     CHECK(came.sequence == 43 && came.kind == COMMAND_RELEASE && came.stamp_ns == 5);
-    outlet_hold(&o, second[0], b, 0); /* the daemon came back */
+    outlet_hold(&o, second[0], b, 0); /* the daemon has returned */
     CHECK(outlet_send_direct(&o, &twist, 8, 1) == 0);
     came = received(second[1]);
     CHECK(came.sequence == 1 && memcmp(came.token, b, sizeof b) == 0);
@@ -189,7 +190,7 @@ static void nothing_is_handed_on_while_python_stands_still(void)
     CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, pair) == 0);
     outlet_init(&o);
     outlet_hold(&o, pair[0], token, 0);
-    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns) == -EHOSTDOWN); /* it never was alive */
+    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns) == -EHOSTDOWN); /* not yet reported alive */
     outlet_alive(&o, begin_ns);
     CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS) == 0 &&
           received(pair[1]).sequence == 1);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_wire.h: a bus's machine in virtual time, with drives that may be silent. */
+ * can_wire.h: the machine of a CAN bus in virtual time, with drives that may be silent. */
 #ifndef MOTORD_TESTS_CAN_WIRE_H
 #define MOTORD_TESTS_CAN_WIRE_H
 
@@ -26,10 +26,10 @@ typedef struct {
     can_machine machine;
     int64_t now_ns, wake_ns;
     double velocity_rad_s; /* set-points of the core for all joints */
-    double reported_rad_s; /* what the drives report */
-    uint32_t enabled;      /* the core's; 2: no set-points come any more */
+    double reported_rad_s; /* speed that the drives report */
+    uint32_t enabled;      /* set by the core; 2: no set-points come any more */
     bool powered, silent, full;
-    uint32_t not_taken; /* an identifier that the bus does not take; 0: none */
+    uint32_t not_taken; /* an identifier that the bus refuses; 0: it refuses nothing */
     can_packet sent[SENT_MAX];
     int64_t sent_ns[SENT_MAX];
     uint32_t sent_count;
@@ -54,8 +54,8 @@ static inline can_packet packet_of(uint32_t id, uint32_t bytes)
     return (can_packet){.id = id, .bytes = bytes};
 }
 
-/* A control word and a speed of 16 bits in the cyclic frame; states and speeds come back by
- * themselves. */
+/* A drive whose cyclic frame has a control word and a speed of 16 bits. It sends its state and
+ * speed by itself. */
 static inline can_drive can_drive_of(uint32_t n)
 {
     can_drive drive = {.tries = 3,
@@ -151,10 +151,10 @@ static inline void step(void)
         }
     }
     w.wake_ns = can_machine_step(&w.machine, w.now_ns);
-    CHECK(w.wake_ns > w.now_ns); /* it never requests an immediate wake-up for nothing */
+    CHECK(w.wake_ns > w.now_ns); /* a step never requests an immediate wake-up without need */
 }
 
-/* For this time; the drives send their state each 10 ms. */
+/* Advances the time. The drives send their state each 10 ms. */
 static inline void go_on(int64_t for_ns)
 {
     int64_t end_ns = w.now_ns + for_ns, speak_ns = w.now_ns;
@@ -223,7 +223,7 @@ static inline int16_t speed_in(const can_packet *packet)
                             &(can_place){.start_bit = 16, .length = 16, .form = CAN_SIGNED});
 }
 
-/* The newest set-point frame of a drive: its speed, its control word. */
+/* The newest set-point frame of a drive, with speed and control word. */
 static inline const can_packet *newest_of(uint32_t drive)
 {
     for (uint32_t i = w.sent_count; i > 0; i--) {
@@ -235,8 +235,8 @@ static inline const can_packet *newest_of(uint32_t drive)
     return NULL;
 }
 
-/* When a frame with this control word was first sent; 0: never. */
-static inline int64_t last_sent_ns(uint32_t drive, uint8_t word)
+/* The time at which a frame with this control word was first sent; 0: never. */
+static inline int64_t first_sent_ns(uint32_t drive, uint8_t word)
 {
     for (uint32_t i = 0; i < w.sent_count; i++) {
         if (w.sent[i].id == SPEED + drive && w.sent[i].data[0] == word) {

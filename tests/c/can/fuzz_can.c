@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_can.c: a bus's machine with random drives, jobs, requests and set-points, on a bus that
- * takes frames at random. For any input, motion is sent only to an armed drive and only while the
- * core requests it, a stop is sent at once or with the first look at which the bus takes it, a job
- * that was overtaken by a stop is not sent, and the end comes. */
+ * fuzz_can.c: the machine of a CAN bus with random drives, jobs, requests and set-points, on a bus
+ * that takes frames at random. For any input, motion is sent only to an armed drive and only while
+ * the core requests it, a stop is sent at once or in the first look in which the bus takes it, a
+ * job that was overtaken by a stop is not sent, and the line ends. */
 #include "can_wire.h"
 #include "tape.h"
 
@@ -12,8 +12,9 @@ enum { FUZZ_MAX = 256, DRIVES = 3, SYNC = 0x80, SLOW = 0x600, STRANGER = 0x77 };
 static const float REPORTED_RAD_S = 10.0F, GREAT_RAD_S = 3e38F;
 
 static uint32_t modes[DRIVES];
-static int16_t last_sent[DRIVES]; /* the newest speed that each has been sent */
-static uint8_t taking;            /* the bus: 0 takes all, 1 nothing, else every so many */
+static int16_t last_sent[DRIVES]; /* the newest speed that each drive was sent */
+static uint8_t taking;            /* which frames the bus takes; 0: all, 1: no frame, n: all but
+                                     each n-th */
 static uint32_t offered, refused;
 
 static bool may_move(uint32_t drive)
@@ -66,8 +67,9 @@ static bool offer(void *sink, const can_packet *packet)
     return true;
 }
 
-/* Three kinds: one is sent zero when it rests, one must not be and cannot report whether it has
- * power, one has a watchdog, two frames to a stop, and is unresponsive until it answers. */
+/* Three drives. The first is sent zero at rest. The second is not, and cannot report whether it has
+ * power. The third has a watchdog and two frames in each stop, and is unresponsive until it
+ * answers. */
 static void begin(void)
 {
     begin_with(DRIVES);
@@ -114,7 +116,7 @@ static void put_job(uint32_t drive, uint8_t choice)
                        .guarded = choice & 1,
                        .stops = w.machine.drive[drive].stops,
                        .expires_ns = w.now_ns + (choice & 6) * MS};
-    if ((choice & 8) != 0) { /* the control word of its cyclic frame */
+    if ((choice & 8) != 0) { /* changes the control word of the cyclic frame */
         order.write = w.table.drive[drive].disarm[0];
         order.write.packet.data[0] = ENABLE;
     } else {
@@ -172,7 +174,7 @@ static void receive_state(uint32_t drive, uint8_t choice)
     receive(&packet, w.now_ns);
 }
 
-/* A frame that no drive of the table sends, or not in this form. */
+/* A frame that no drive of the table sends, or one of another form. */
 static void receive_noise(uint8_t choice)
 {
     static const uint32_t ids[] = {STRANGER,
@@ -220,8 +222,8 @@ static void judge_modes(void)
     CHECK((w.machine.feedback_mask & ~7U) == 0);
 }
 
-/* What has been sent motion and may not move any more has been sent zero, if the bus takes
- * anything: an unresponsive one in its next cycle, by the probe. */
+/* A drive that was sent motion and may not move any more has been sent zero, if the bus takes
+ * frames. An unresponsive drive gets it with the probe of its next cycle. */
 static void judge_stops(bool cycled)
 {
     for (uint32_t i = 0; i < DRIVES; i++) {
@@ -237,7 +239,7 @@ static void look(void)
     w.wake_ns = can_machine_step(&w.machine, w.now_ns);
     CHECK(w.wake_ns > w.now_ns && w.wake_ns <= w.now_ns + 20 * MS);
     judge_modes();
-    /* at the end, a bus that takes nothing has had its time */
+    /* at the end, a bus that refuses frames has had enough time */
     if (refused == 0 && w.machine.end.stage < END_SILENT) {
         judge_stops(w.machine.cycle.count != cycles);
     }
@@ -251,12 +253,12 @@ static void request_all(uint32_t mode)
         w.machine.control.drive[i].count++;
         w.machine.control.drive[i].mode = mode;
     }
-    set_points(0x33); /* enabled, and all are to move */
+    set_points(0x33); /* enabled, with motion for all drives */
     look();
     w.now_ns = w.wake_ns;
 }
 
-/* Most of what can go wrong goes wrong on the move. */
+/* Begins with moving drives, because most errors need them. */
 static void get_going(uint8_t how_far)
 {
     if (how_far % 4 > 0) {
@@ -294,7 +296,8 @@ static void once(const uint8_t *data, size_t size)
     while (w.machine.end.stage != END_SILENT) {
         look();
         w.now_ns = w.wake_ns;
-        /* of these, 500 while it sends and does not report that it has no power */
+        /* the last 500 are for a drive that sends frames and does not report that it has no
+         * power */
         CHECK(w.now_ns <= asked_ns + 1100 * MS);
     }
     look();

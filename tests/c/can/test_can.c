@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A CAN bus's machine in virtual time: what is sent, which feedback counts, and when drives are
- * stopped. */
+ * The machine of a CAN bus in virtual time: the frames that it sends, which feedback counts, and
+ * when it stops drives. */
 #include "can_wire.h"
 
 /* ------------------------------------------------------------------------------- values */
@@ -68,7 +68,7 @@ static void feedback_is_counts_and_si_with_the_kernel_s_stamp(void)
     arm(0);
     report_motion(0, 1.0F, 0.0F);
     w.now_ns += MS;
-    report_motion(0, -0.25F, 3.0F); /* so soon after the other it adds nothing new */
+    report_motion(0, -0.25F, 3.0F); /* too soon after the last frame to count */
     CHECK(w.machine.joint[0].feedback.count == 1000);
     w.now_ns += 6 * MS;
     report_motion(0, -0.25F, 3.0F);
@@ -108,7 +108,7 @@ static void received_frames_cause_no_frames_to_be_sent(void)
         w.now_ns += MS / 100;
         step();
     }
-    CHECK(w.sent_count <= 2); /* 10 ms are one cycle, or two */
+    CHECK(w.sent_count <= 2); /* at most the frames of two cycles */
 }
 
 static void held_bytes_are_sent_with_the_set_points(void)
@@ -205,14 +205,14 @@ static void old_set_points_are_a_quick_stop_and_then_power_off_at_rest(void)
     int64_t last_ns = w.now_ns;
     w.enabled = 2;
     go_on(150 * MS);
-    int64_t stopped_ns = last_sent_ns(0, QUICK_STOP);
+    int64_t stopped_ns = first_sent_ns(0, QUICK_STOP);
     CHECK(stopped_ns > last_ns && stopped_ns <= last_ns + 110 * MS &&
-          last_sent_ns(0, DISABLE) == 0);
+          first_sent_ns(0, DISABLE) == 0);
     CHECK(speed_in(newest_of(0)) == 0 &&
           w.machine.drive[0].state.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
     w.reported_rad_s = 0.0;
     go_on(30 * MS);
-    CHECK(last_sent_ns(0, DISABLE) > stopped_ns);
+    CHECK(first_sent_ns(0, DISABLE) > stopped_ns);
     w.enabled = 1;
     w.powered = false;
     go_on(100 * MS);
@@ -228,8 +228,8 @@ static void a_wheel_that_keeps_turning_loses_its_power_after_a_second(void)
     int64_t last_ns = w.now_ns;
     w.enabled = 2;
     go_on(1300 * MS);
-    CHECK(last_sent_ns(0, DISABLE) > last_ns + 1000 * MS &&
-          last_sent_ns(0, DISABLE) < last_ns + 1150 * MS);
+    CHECK(first_sent_ns(0, DISABLE) > last_ns + 1000 * MS &&
+          first_sent_ns(0, DISABLE) < last_ns + 1150 * MS);
 }
 
 static void clearing_enabled_takes_the_power_at_once(void)
@@ -278,7 +278,7 @@ static void a_pause_longer_than_the_watchdog_stops_the_drive(void)
     begin_with(1);
     arm(0);
     go_on(50 * MS);
-    w.now_ns += 600 * MS; /* nothing was sent: it has stopped by itself, if it can */
+    w.now_ns += 600 * MS; /* without frames for so long, a drive with a watchdog stops */
     report_state(0, 8);
     report_motion(0, 1.0F, 1.0F);
     step();
@@ -324,7 +324,7 @@ static void a_drive_that_is_being_armed_may_report_that_it_is_enabled(void)
     w.powered = true;
     forget_sent();
     go_on(100 * MS);
-    CHECK(last_sent_ns(0, DISABLE) == 0 && w.machine.drive[0].state.fault_reasons == 0);
+    CHECK(first_sent_ns(0, DISABLE) == 0 && w.machine.drive[0].state.fault_reasons == 0);
 }
 
 static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(void)
@@ -340,9 +340,9 @@ static void shutting_down_stops_and_then_takes_the_power_within_half_a_second(vo
     w.powered = false;
     go_on(140 * MS);
     CHECK(w.machine.end.stage == END_SILENT);
-    CHECK(last_sent_ns(0, QUICK_STOP) == asked_ns && last_sent_ns(1, QUICK_STOP) == 0);
-    CHECK(last_sent_ns(0, DISABLE) >= asked_ns + 350 * MS &&
-          last_sent_ns(1, DISABLE) >= asked_ns + 350 * MS);
+    CHECK(first_sent_ns(0, QUICK_STOP) == asked_ns && first_sent_ns(1, QUICK_STOP) == 0);
+    CHECK(first_sent_ns(0, DISABLE) >= asked_ns + 350 * MS &&
+          first_sent_ns(1, DISABLE) >= asked_ns + 350 * MS);
     forget_sent();
     go_on(100 * MS);
     CHECK(w.sent_count == 0);
@@ -362,9 +362,9 @@ static void a_silent_drive_is_unresponsive_and_comes_back_disarmed_in_a_new_epoc
     }
     CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.now_ns - silent_ns < 230 * MS);
     go_on(50 * MS);
-    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
+    CHECK(first_sent_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
     go_on(3000 * MS);
-    CHECK(last_sent_ns(0, DISABLE) > 0);
+    CHECK(first_sent_ns(0, DISABLE) > 0);
     w.silent = false;
     w.powered = false;
     go_on(50 * MS);
@@ -444,7 +444,7 @@ static void a_table_that_points_outside_of_its_frames_is_refused(void)
     drive->output[0].setpoint[0].place.start_bit = UINT32_MAX;
     CHECK(is_bad());
     begin_with(2);
-    drive->match[1].bytes = 7; /* shorter than what is read in it */
+    drive->match[1].bytes = 7; /* shorter than the values that it holds */
     CHECK(is_bad());
     begin_with(2);
     drive->input[0].field[0].meaning.joint = JOINTS_MAX;
@@ -459,7 +459,7 @@ static void a_table_that_points_outside_of_its_frames_is_refused(void)
     drive->match[0].input = 3;
     CHECK(is_bad());
     begin_with(2);
-    drive->output[0].packet.bytes = 9; /* of a classic frame */
+    drive->output[0].packet.bytes = 9; /* too long for a classic frame */
     CHECK(is_bad());
 }
 

@@ -33,7 +33,7 @@ static void identifiers_may_be_in_any_order_and_frames_of_one_are_distinguished_
     can_drive *drive = table_of(0);
     const can_match state = drive->match[0];
     drive->match_count = 6;
-    drive->match[0] = drive->match[2]; /* the greatest identifier first, the least last */
+    drive->match[0] = drive->match[2]; /* the highest identifier first, the lowest last */
     drive->match[2] = (can_match){
         .id = ANSWER, .bytes = 8, .begins_bytes = 1, .begins = {0x44}, .begins_mask = {0xFF}};
     drive->match[3] = (can_match){.id = ANSWER,
@@ -42,7 +42,8 @@ static void identifiers_may_be_in_any_order_and_frames_of_one_are_distinguished_
                                   .begins = {0x45},
                                   .begins_mask = {0xFF},
                                   .input = 1};
-    drive->match[4] = (can_match){.id = ANSWER, .bytes = 8}; /* all others of that identifier */
+    drive->match[4] = (can_match){.id = ANSWER, .bytes = 8}; /* all other frames of that
+                                                                identifier */
     drive->match[5] = state;
     drive->input[0].field[0].place.start_bit = 0;
     restart();
@@ -67,7 +68,7 @@ static void the_first_frames_count_even_one_nanosecond_after_boot(void)
     report_motion(0, 1.0F, 0.0F);
     CHECK(state_of(0)->sample_ns[1] == 1);
     w.now_ns = 2;
-    report_motion(0, 2.0F, 0.0F); /* so soon it adds nothing new */
+    report_motion(0, 2.0F, 0.0F); /* too soon after the last frame to count */
     CHECK(state_of(0)->sample_ns[1] == 1 && w.machine.joint[0].feedback.count == 1000);
     w.now_ns = 1 + 5 * MS;
     report_motion(0, 3.0F, 0.0F);
@@ -78,7 +79,8 @@ static void the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_fra
 {
     begin_with(2);
     go_on(50 * MS);
-    CHECK(w.machine.feedback_mask == 0 && state_of(0)->cycles == 0); /* both send, and are off */
+    CHECK(w.machine.feedback_mask == 0 && state_of(0)->cycles == 0); /* both drives send, and are
+                                                                        off */
     table_of(0)->match_count = 4;
     table_of(0)->match[3] = (can_match){.id = ANSWER + 0x20, .bytes = 1, .input = 3};
     table_of(0)->input_count = 3;
@@ -102,7 +104,7 @@ static void the_core_gets_feedback_of_a_drive_that_is_set_up_and_by_its_fast_fra
 static void only_a_frame_that_reports_power_contradicts_the_mode_of_a_drive(void)
 {
     begin_with(1);
-    /* the power is reported in the second input now, not the first */
+    /* the second input reports the power now, not the first */
     const can_input state = table_of(0)->input[0];
     table_of(0)->input[0] = table_of(0)->input[1];
     table_of(0)->input[1] = state;
@@ -162,7 +164,7 @@ static void a_drive_that_may_turn_after_a_reopening_is_stopped_less_and_less_oft
 static void the_cycles_keep_the_grid_that_began_with_the_bus(void)
 {
     begin_with(1);
-    w.now_ns += 3 * MS; /* the thread comes late */
+    w.now_ns += 3 * MS; /* the thread begins late */
     step();
     CHECK(w.machine.cycle.count == 1 && w.wake_ns == 1010 * MS);
 }
@@ -216,7 +218,7 @@ static void fill_drive(uint32_t n)
     }
 }
 
-/* The last entry of each list counts, and nothing beyond it is touched: the sanitizers watch. */
+/* The last entry of each list counts. The sanitizers check that nothing beyond it is touched. */
 static void a_full_table_is_driven_to_its_last_entry(void)
 {
     begin_with(CAN_DRIVES_MAX);
@@ -241,7 +243,7 @@ static void a_full_table_is_driven_to_its_last_entry(void)
         w.powered = n == last;
     }
     for (uint32_t n = 0; n < CAN_DRIVES_MAX; n++) {
-        /* the others report that they are off */
+        /* the other drives report that they have no power */
         CHECK(state_of(n)->state.mode == (n == last ? DRIVE_ARMED : DRIVE_OFF));
     }
     w.powered = true;
@@ -269,7 +271,7 @@ static void a_full_table_is_driven_to_its_last_entry(void)
     }
 }
 
-/* The entry after the last drive looks like one that moves and stops: it is neither read nor
+/* The entry after the last drive looks like a drive that moves and stops. It is neither read nor
  * changed. */
 static void a_line_has_eight_drives_at_most(void)
 {
@@ -343,7 +345,7 @@ static void a_bus_that_took_nothing_since_motion_left_it_is_given_zero_first(voi
     arm(0);
     go_on(11 * MS);
     CHECK(speed_in(newest_of(0)) == 100);
-    can_machine_left(&w.machine); /* nothing waits in the kernel */
+    can_machine_left(&w.machine); /* all frames have left the kernel's queue */
     w.full = true;
     go_on(35 * MS);
     CHECK(w.machine.clogged && w.machine.motion_since_ns == 0);
@@ -361,7 +363,7 @@ static void each_cycle_whose_motion_does_not_leave_is_counted_as_not_taken(void)
     arm(0);
     go_on(11 * MS);
     uint64_t before = w.machine.tx_full;
-    go_on(100 * MS); /* nothing is reported to have left */
+    go_on(100 * MS); /* no frame is reported to have left */
     CHECK(w.machine.tx_full > before && w.machine.tx_full <= before + 10);
 }
 
@@ -405,7 +407,7 @@ static void cycles_continue_until_the_end_takes_the_power(void)
     forget_sent();
     w.machine.notify = false;
     go_on(asked_ns + 480 * MS - w.now_ns);
-    /* no set-point switches it on again */
+    /* no set-point gives the drive power again */
     CHECK(w.machine.end.stage == END_POWER_OFF && w.sent_count == 0 && !w.machine.notify);
     step();
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
@@ -422,7 +424,7 @@ static void the_end_sends_each_drive_its_power_off_once_and_is_over_with_the_las
     w.reported_rad_s = 1.0;
     go_on(50 * MS);
     w.machine.control.shut_down = 1;
-    w.full = true; /* not even the quick stop is taken */
+    w.full = true; /* the bus does not even take the quick stop */
     go_on(360 * MS);
     CHECK(w.machine.end.stage == END_POWER_OFF);
     w.full = false;

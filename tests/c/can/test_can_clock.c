@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus's thread and the wall clock, whose stamps the kernel puts on frames: it may be set while
- * they are in transit. */
+ * The thread of a CAN bus and the wall clock, which the kernel uses to stamp frames. The clock may
+ * be set while frames are in transit. */
 #include <errno.h>
 #include <linux/can.h>
 #include <sys/syscall.h>
@@ -13,8 +13,9 @@ enum { FRAMES = 12 };
 
 static _Atomic int64_t wall_ahead_ns, slept_ns;
 
-/* In the C library's place: a wall clock that was set, after the kernel has stamped its frames; and
- * a computer that was suspended for so long, while CLOCK_MONOTONIC stood still. */
+/* Replaces the C library's function. The wall clock differs from the time of the kernel's stamps by
+ * `wall_ahead_ns`, and the computer was suspended for `slept_ns`, while CLOCK_MONOTONIC stood
+ * still. */
 int clock_gettime(clockid_t clock, struct timespec *out)
 {
     long failed = syscall(SYS_clock_gettime, clock, out);
@@ -39,8 +40,8 @@ static int64_t stamp_of_a_frame(void)
     return received.stamp_ns;
 }
 
-/* Each frame is read with the one before already taken in: it is younger than the look that took
- * that one. */
+/* Each frame is read only when the frame before has been taken: its stamp is not older than the
+ * sending of that frame. */
 static void frames_have_their_true_age_while_the_wall_clock_is(int64_t ahead_ns)
 {
     int64_t sent_ns[FRAMES];
@@ -61,8 +62,8 @@ static void wait_for(uint32_t mode, can_report *report)
     } while (report->drive[0].mode != mode);
 }
 
-/* The loop has not ticked since: the set-points in the exchange are young by CLOCK_MONOTONIC,
- * and request motion. */
+/* The loop has not ticked since the suspend: by CLOCK_MONOTONIC the set-points in the exchange are
+ * new, and they request motion. */
 static void set_points_from_before_a_suspend_stop_the_drive(void)
 {
     can_report report;
@@ -92,7 +93,7 @@ int main(void)
     begin_with(1);
     w.table.setpoint_timeout_ns = 60000 * MS;
     for (uint32_t i = 0; i < w.table.drive[0].input_count; i++) {
-        w.table.drive[0].input[i].silence_ns = 0; /* it need not send */
+        w.table.drive[0].input[i].silence_ns = 0; /* a silent drive is no fault here */
     }
     exchange_init(&shared);
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_NONBLOCK, 0, ends) == 0);

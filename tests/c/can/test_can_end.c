@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How a bus ends: a power-off that the bus has taken is not one that the drive has got. */
+ * The end of a CAN line: a power-off that the bus has taken may not have reached the drive. */
 #include "can_wire.h"
 
 static const int64_t END_NS = 480 * 1000000, REPORT_END_NS = 980 * 1000000;
 static int64_t begun_ns;
 
-/* Until the line is silent: the drives send their state each 10 ms, except while they are cut off.
- * `obeys_ns`: how long a drive takes to lose its power. */
+/* Shuts the line down and waits until it is silent. The drives send their state each 10 ms, but not
+ * before `cut_until_ns`. `obeys_ns`: time in which a drive loses its power after a power-off. */
 static can_report ends(int64_t cut_until_ns, int64_t obeys_ns)
 {
     can_report report;
@@ -46,7 +46,7 @@ static uint32_t power_offs(void)
     return count;
 }
 
-/* Set up and at rest; the drives report that they have no power. */
+/* The drives are set up and at rest, and report that they have no power. */
 static void rest_without_power(void)
 {
     arm(0);
@@ -55,7 +55,7 @@ static void rest_without_power(void)
     go_on(50 * MS);
 }
 
-/* The end begins, and nothing has come since; true: that was it. */
+/* Begins the end and returns whether the line is silent after one step without feedback. */
 static bool ends_at_once(void)
 {
     begun_ns = w.now_ns;
@@ -75,7 +75,7 @@ static void order_something(void)
     CHECK(state_of(0)->orders_sent == 1);
 }
 
-/* In any of its frames. */
+/* Any of the drive's frames may report the power. */
 static void a_drive_seen_without_power_gets_one_power_off_and_the_end_does_not_wait_for_it(void)
 {
     for (int second = 0; second < 2; second++) {
@@ -116,7 +116,7 @@ static void a_drive_that_was_not_set_up_has_to_report_no_power_after_its_power_o
     CHECK(w.machine.end.stage == END_SILENT);
 }
 
-/* It has just been ordered to take its power: what it reported before proves nothing. */
+/* An order has just changed the power: earlier reports prove nothing. */
 static void a_drive_that_got_an_order_since_has_to_report_no_power_again(void)
 {
     for (int speaks = 0; speaks < 2; speaks++) {
@@ -170,7 +170,7 @@ static void a_turning_drive_gets_its_power_off_until_it_reports_no_power(void)
     CHECK(report.drive[0].stop_waits == 0 && !w.powered && w.now_ns < begun_ns + END_NS);
     begin_with(1);
     turn();
-    report = ends(0, 300 * MS); /* it takes its time, and is there: it is waited for */
+    report = ends(0, 300 * MS); /* the drive needs time, but it sends: the end waits for it */
     CHECK(report.drive[0].stop_waits == 0 && !w.powered && power_offs() > 5 &&
           w.now_ns > begun_ns + END_NS);
 }
@@ -205,11 +205,11 @@ static void a_drive_that_is_cut_off_or_keeps_its_power_is_reported(void)
     begin_with(1);
     turn();
     can_report report = ends(0, INT64_MAX / 2);
-    /* a look each MS */
+    /* MS: the pause between two looks */
     CHECK(report.drive[0].stop_waits == 1 && w.now_ns == begun_ns + REPORT_END_NS + MS);
 }
 
-/* The second cannot report that it has lost its power: it is done with its power-off. */
+/* The second drive cannot report its power: one power-off is enough for it. */
 static void the_end_waits_for_a_drive_that_keeps_its_power_whatever_the_others_do(void)
 {
     begin_with(2);
@@ -227,12 +227,12 @@ static void asyncio_is_notified_of_the_end_even_when_one_drive_is_off_at_once(vo
     begin_with(2);
     rest_without_power();
     w.machine.notify = false;
-    CHECK(!ends_at_once()); /* the second was never set up */
+    CHECK(!ends_at_once()); /* the second drive was never set up */
     CHECK(state_of(0)->state.stop == STOP_NOTHING && state_of(1)->state.stop == STOP_POWER_OFF &&
           w.machine.notify);
 }
 
-/* Two frames, of which the bus does not take the second at first. */
+/* The power-off has two frames. The bus does not take the second one at first. */
 static void a_power_off_is_repeated_10_ms_after_its_last_frame_was_sent(void)
 {
     begin_with(1);
@@ -284,7 +284,7 @@ static void a_drive_that_cannot_report_its_power_has_to_be_present(void)
     CHECK(report.drive[0].stop_waits == 1 && w.now_ns >= begun_ns + END_NS);
 }
 
-/* After each power-off: the poll, and the SYNC that makes drives follow their frames and send. */
+/* After each power-off the line sends the poll, and the SYNC, on which drives act and send. */
 static void frames_that_a_drive_does_not_send_by_itself_are_requested(void)
 {
     for (uint32_t hello = 0; hello < 2; hello++) {

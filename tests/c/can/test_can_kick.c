@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives on a bus whose line the loop has woken: new set-points do not wait for their cycle. */
+ * The loop wakes the line of a CAN bus: new set-points do not wait for their cycle. */
 #include "can_wire.h"
 
-/* The loop has woken the line; the first joint is to do something else than the others. */
+/* The loop wakes the line. The first joint has another set-point than the others. */
 static void kick_apart(double first_rad_s, double velocity_rad_s)
 {
     w.velocity_rad_s = velocity_rad_s;
@@ -32,7 +32,7 @@ static void a_new_set_point_is_sent_at_once_to_all_armed_drives(void)
     w.now_ns += MS;
     int64_t due_ns = w.machine.cycle.due_ns;
     forget_sent();
-    kick(1.0); /* nothing new */
+    kick(1.0); /* the set-point is the same */
     step();
     CHECK(w.sent_count == 0);
     kick(2.0);
@@ -40,7 +40,7 @@ static void a_new_set_point_is_sent_at_once_to_all_armed_drives(void)
     step();
     CHECK(w.sent_count == 2 && speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 200);
     CHECK(w.machine.cycle.due_ns == due_ns);
-    step(); /* once */
+    step(); /* sent only once */
     CHECK(w.sent_count == 2);
 }
 
@@ -56,13 +56,13 @@ static void one_new_set_point_sends_those_of_all_drives_at_once(void)
     step();
     w.now_ns += MS;
     forget_sent();
-    kick_apart(2.0, 1.0); /* the second one's is as it was */
+    kick_apart(2.0, 1.0); /* the set-point of the second joint is the same */
     (void)can_machine_step(&w.machine, w.now_ns);
     CHECK(w.sent_count == 3 && speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 100);
     CHECK(count_sent(0x80) == 1 && w.sent[2].id == 0x80);
     forget_sent();
     w.now_ns += MS;
-    kick_apart(2.0, 3.0); /* and now the first one's */
+    kick_apart(2.0, 3.0); /* the set-point of the first joint is the same */
     (void)can_machine_step(&w.machine, w.now_ns);
     CHECK(w.sent_count == 3 && speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 300);
 }
@@ -128,7 +128,7 @@ static void motion_that_has_not_left_the_queue_is_not_followed_by_early_motion(v
     w.machine.receives_own = true;
     can_machine_left(&w.machine);
     w.now_ns = w.machine.cycle.due_ns;
-    step(); /* a motion frame waits from now on: the cable is out */
+    step(); /* the cable is unplugged: the motion frame stays in the queue */
     forget_sent();
     w.now_ns += MS;
     kick(2.0);
@@ -162,7 +162,7 @@ static void a_kick_ignores_drives_outside_of_the_table(void)
     step();
     w.now_ns += MS;
     forget_sent();
-    w.machine.drive[1] = w.machine.drive[0]; /* there is no second drive */
+    w.machine.drive[1] = w.machine.drive[0]; /* beyond the only drive of the table */
     w.machine.table.drive[1] = can_drive_of(1);
     kick_apart(1.0, 2.0);
     step();

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus between its cycles: how soon it looks again, jobs that wait, what asyncio gets, and an
- * end with several drives. */
+ * A CAN bus between its cycles: the time of the next look, jobs that wait, notifications of
+ * asyncio, and an end with several drives. */
 #include "can_wire.h"
 
 static void begin_with_a_slow_cycle(void)
@@ -24,7 +24,7 @@ static void a_moving_drive_is_checked_often_and_a_pending_stop_more_often(void)
     begin_with_a_slow_cycle();
     go_on(20 * MS);
     CHECK(next_look_ns() == 20 * MS);
-    arm(2); /* the last of them */
+    arm(2); /* the last of the three */
     w.machine.cycle.due_ns = w.now_ns + 500 * MS;
     CHECK(!state_of(2)->state.sent_motion && next_look_ns() == 5 * MS);
     w.machine.cycle.due_ns = w.now_ns;
@@ -66,15 +66,15 @@ static void the_end_waits_until_the_last_drive_is_at_rest(void)
     for (uint32_t i = 0; i < 3; i++) {
         report_motion(i, 1.0F, 0.0F);
     }
-    w.silent = true; /* what is reported from now on is reported by hand */
+    w.silent = true; /* from here on the test sends all reports */
     go_on(30 * MS);
     report_motion(2, 1.0F, 5.0F);
     forget_sent();
     w.machine.control.shut_down = 1;
     step();
-    CHECK(last_sent_ns(2, QUICK_STOP) > 0);
+    CHECK(first_sent_ns(2, QUICK_STOP) > 0);
     go_on(100 * MS);
-    CHECK(w.machine.end.stage == END_RESTING && last_sent_ns(2, DISABLE) == 0);
+    CHECK(w.machine.end.stage == END_RESTING && first_sent_ns(2, DISABLE) == 0);
     report_motion(2, 1.0F, 0.0F);
     go_on(12 * MS);
     CHECK(w.machine.end.stage == END_POWER_OFF);
@@ -85,7 +85,7 @@ static void the_end_waits_until_the_last_drive_is_at_rest(void)
     go_on(12 * MS);
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
     for (uint32_t i = 0; i < 3; i++) {
-        CHECK(last_sent_ns(i, DISABLE) > 0);
+        CHECK(first_sent_ns(i, DISABLE) > 0);
     }
 }
 
@@ -162,7 +162,7 @@ static void a_waiting_order_is_checked_often_and_the_ninth_is_refused(void)
         CHECK(can_machine_order(&w.machine, &order));
     }
     CHECK(!can_machine_order(&w.machine, &order) && w.machine.order_count == CAN_WAITING_MAX);
-    w.now_ns = order.expires_ns; /* from now on it is too late */
+    w.now_ns = order.expires_ns; /* the orders expire */
     w.full = false;
     step();
     CHECK(count_sent(CONTROL) == 0 && state_of(0)->orders_dropped == CAN_WAITING_MAX);
@@ -181,7 +181,7 @@ static void the_first_drive_of_a_slow_bus_is_checked_often_while_it_moves_or_sto
     w.reported_rad_s = 1.0;
     report_motion(0, 1.0F, 1.0F);
     w.enabled = 2;
-    w.now_ns += 101 * MS; /* old set-points: it comes to rest, and was sent no motion yet */
+    w.now_ns += 101 * MS; /* old set-points: the drive comes to rest, and was sent no motion yet */
     report_state(0, 8);
     step();
     CHECK(state_of(0)->state.stopping && !state_of(0)->state.sent_motion &&

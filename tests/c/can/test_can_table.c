@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Which tables of a CAN bus are refused, and by which name: each number at the edge of what it
- * may be, and beyond. */
+ * Which tables of a CAN bus are refused, and which field is named: each number at the end of its
+ * range and beyond. */
 #include <float.h>
 
 #include "can_wire.h"
@@ -20,7 +20,7 @@ static bool refused(const char *name)
     return can_table_check(&w.table, bad_name) == bad_name && strcmp(bad_name, name) == 0;
 }
 
-/* The table of two drives, with one number changed. */
+/* Check the table of two drives with one changed number. */
 #define GOOD(field, value)                                                                         \
     do {                                                                                           \
         begin_with(2);                                                                             \
@@ -155,11 +155,11 @@ static void each_frame_to_send_has_a_valid_identifier_and_length(void)
         packet->id = CAN_ID_REMOTE | 1;
         CHECK(refused("drive[1].packet.fd"));
         packet->fd = 0;
-        /* set-points are no question */
+        /* a set-point frame is no remote frame */
         CHECK(i == 0 ? refused("drive[1].output.packet.id") : is_good());
     }
     begin_with(2);
-    DRIVE.quick_stop[1].packet.id = DRIVE.disarm[1].packet.id = 0x800; /* not counted */
+    DRIVE.quick_stop[1].packet.id = DRIVE.disarm[1].packet.id = 0x800; /* beyond the count */
     CHECK(is_good());
 }
 
@@ -228,7 +228,7 @@ static void set_points(void)
     scale->joint = 0;
     scale->kind = SETPOINT_POSITION;
     CHECK(refused("drive[1].setpoint.raw_per_s"));
-    scale->raw_per_s = 0.01; /* slow, but it moves */
+    scale->raw_per_s = 0.01; /* slow, but more than 0 */
     CHECK(is_good());
     scale->kind = SETPOINT_TORQUE;
     CHECK(refused("drive[1].setpoint.raw_per_s"));
@@ -337,7 +337,7 @@ static void numbers_of_inputs_have_their_range(void)
     }
     DRIVE.input[0].field_count = CAN_FIELDS_MAX;
     CHECK(is_good());
-    DRIVE.input[0].field[CAN_FIELDS_MAX - 1].place.length = 9; /* the frame has a byte */
+    DRIVE.input[0].field[CAN_FIELDS_MAX - 1].place.length = 9; /* the frame has only one byte */
     CHECK(refused("drive[1].place.start_bit"));
 }
 
@@ -353,7 +353,7 @@ static void matches_of_frames_have_their_range(void)
     DRIVE.match[2].bytes = DRIVE.match[2].begins_bytes = CAN_BEGINS_MAX;
     CHECK(is_good());
     begin_with(2);
-    DRIVE.match[3].input = 3; /* not counted */
+    DRIVE.match[3].input = 3; /* beyond the count */
     CHECK(is_good());
     for (uint32_t i = 3; i < CAN_MATCHES_MAX; i++) {
         DRIVE.match[i].input = 0;

@@ -1,13 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A bus's thread on a socket pair, with asyncio's side and the loop's side in threads of their own:
- * for the sanitizers. Nothing is shared but what api_can.h and the exchange pass on. */
+ * The thread of a CAN bus on a socket pair. Asyncio and the loop are threads, too, so that
+ * sanitizers find data races. The threads share only what api_can.h and the exchange pass on. */
 #include <errno.h>
 #include <linux/can.h>
 
 #include "can_wire.h"
 #include "thread_sides.h"
 
-/* The drive: reports its state and motion, and reads what it is sent. */
+/* The side of the drive: sends state and motion, and counts the frames that it receives. */
 static void *drive(void *arg)
 {
     unsigned long *received = arg;
@@ -84,7 +84,7 @@ int main(void)
     CHECK(pthread_join(loop, NULL) == 0 && pthread_join(peer, NULL) == 0);
     CHECK(received > 200);
     CHECK(close(ends[1]) == 0);
-    /* the other end has gone: the thread reports it, and ends */
+    /* the other end is closed: the thread reports it and ends */
     CHECK(wait_for(DRIVE_ARMED).life.error == ENODEV);
     CHECK(can_stop(0) == 0);
     return checks_report("can thread");

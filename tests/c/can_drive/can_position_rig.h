@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * can_position_rig.h: a drive on a bus whose joint goes to positions. */
+ * can_position_rig.h: a drive on a CAN bus whose joint takes positions. */
 #ifndef MOTORD_TESTS_CAN_POSITION_RIG_H
 #define MOTORD_TESTS_CAN_POSITION_RIG_H
 
@@ -9,7 +9,7 @@ static const can_machine *const m = &w.machine;
 static double wanted_rad;
 static uint32_t positioned;
 
-/* Its target is a float in turns, like its measurement; an angle of 0 is two turns. */
+/* The drive takes and reports its position as a float in turns. An angle of 0 is two turns. */
 static inline void begin(void)
 {
     begin_with(1);
@@ -24,7 +24,7 @@ static inline void begin(void)
                                  .raw_max = 10.0,
                                  .raw_per_s = 1e6}};
     restart();
-    w.enabled = 2; /* `step` leaves the set-points to us */
+    w.enabled = 2; /* `step` leaves the set-points to the test */
     positioned = 0;
 }
 

@@ -1,11 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a CAN bus at the very edge of each of its times: still good, and too late a
- * nanosecond later. */
+ * Each time of a drive on a CAN bus at its bound: still good, and too late one nanosecond later. */
 #include "can_wire.h"
 
 enum { SLOW = 0x610, PROBE = 0x620, OFF_WORD = 0x700 };
 
-/* Set-points that are stamped by hand. */
+/* Makes a step with set-points of this stamp. */
 static void step_with_stamp(int64_t stamp_ns)
 {
     w.machine.newest.stamp_ns = stamp_ns;
@@ -67,10 +66,10 @@ static void a_wheel_that_keeps_turning_has_exactly_a_second_to_come_to_rest(void
     }
     w.now_ns = stopped_ns + 1000 * MS - 1;
     step();
-    CHECK(state_of(0)->state.stopping && last_sent_ns(0, DISABLE) == 0);
+    CHECK(state_of(0)->state.stopping && first_sent_ns(0, DISABLE) == 0);
     w.now_ns++;
     step();
-    CHECK(!state_of(0)->state.stopping && last_sent_ns(0, DISABLE) == stopped_ns + 1000 * MS);
+    CHECK(!state_of(0)->state.stopping && first_sent_ns(0, DISABLE) == stopped_ns + 1000 * MS);
 }
 
 static void a_quick_stop_also_sends_zero_at_once(void)
@@ -100,7 +99,7 @@ static void fault_reasons_add_up_until_the_next_set_up(void)
     w.enabled = 0;
     step();
     CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
-    go_on(60 * MS); /* and it keeps reporting that it has power */
+    go_on(60 * MS); /* the drive still reports that it has power */
     CHECK(state_of(0)->state.fault_reasons ==
           (DRIVE_FAULT_NOT_ENABLED | DRIVE_FAULT_STILL_ENABLED));
     become_unresponsive();
@@ -142,7 +141,8 @@ static void silence_is_allowed_up_to_its_bound(void)
 {
     begin_with(1);
     arm_by_hand();
-    w.machine.newest.stamp_ns = w.now_ns + 200 * MS; /* only the silence is checked */
+    w.machine.newest.stamp_ns = w.now_ns + 200 * MS; /* in the future, so that only the silence is
+                                                        checked */
     w.machine.table.setpoint_timeout_ns = 1000 * MS;
     report_state(0, 8);
     report_motion(0, 1.0F, 0.0F);
@@ -178,7 +178,7 @@ static void a_drive_is_missing_before_its_first_frame_and_when_any_of_its_frames
 static void an_answer_to_a_hello_is_good_for_five_seconds(void)
 {
     begin_with(1);
-    table_of(0)->hello = 1; /* the first of its inputs */
+    table_of(0)->hello = 1; /* 1: the answer is the first input */
     w.now_ns = 1;
     restart();
     step();
@@ -201,7 +201,7 @@ static void an_old_answer_to_a_hello_does_not_count_for_an_unresponsive_drive(vo
     w.silent = true;
     while (state_of(0)->state.mode == DRIVE_ARMED) {
         report_state(0, 8);
-        go_on(10 * MS); /* its motion comes no more */
+        go_on(10 * MS); /* the drive sends no motion frames any more */
     }
     go_on(10 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 1);
@@ -215,18 +215,18 @@ static void a_drive_that_falls_silent_while_it_stops_gets_quick_stops_again(void
     begin_with(1);
     arm(0);
     w.reported_rad_s = 1.0;
-    go_on(3000 * MS); /* all that it was sent before is long ago */
+    go_on(3000 * MS); /* so that all earlier frames are long ago */
     w.enabled = 2;
     go_on(110 * MS);
     CHECK(state_of(0)->state.stopping);
     become_unresponsive();
     CHECK(!state_of(0)->state.stopping);
     int64_t unresponsive_ns = state_of(0)->unresponsive_since_ns;
-    CHECK(last_sent_ns(0, DISABLE) == 0);
+    CHECK(first_sent_ns(0, DISABLE) == 0);
     go_on(800 * MS);
-    CHECK(last_sent_ns(0, DISABLE) == 0);
+    CHECK(first_sent_ns(0, DISABLE) == 0);
     go_on(1000 * MS);
-    CHECK(last_sent_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
+    CHECK(first_sent_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
 }
 
 static void quick_stops_continue_for_a_second_of_silence(void)
@@ -237,7 +237,7 @@ static void quick_stops_continue_for_a_second_of_silence(void)
     restart();
     arm(0);
     go_on(30 * MS);
-    w.not_taken = SPEED; /* so it is sent again in each cycle */
+    w.not_taken = SPEED; /* the bus never takes it, so each cycle sends it again */
     become_unresponsive();
     int64_t unresponsive_ns = state_of(0)->unresponsive_since_ns;
     w.machine.cycle.due_ns = unresponsive_ns + 1000 * MS;
@@ -265,7 +265,7 @@ static void an_unresponsive_drive_is_finally_probed_every_two_seconds(void)
     }
     forget_sent();
     go_on(8000 * MS);
-    /* the first, after 100 ms, has begun before */
+    /* the pause of 100 ms before the first probe has begun earlier */
     const int64_t pauses_ms[] = {200, 400, 800, 1600, 2000, 2000};
     CHECK(w.sent_count >= 7);
     for (uint32_t i = 0; i < 6; i++) {
@@ -308,7 +308,8 @@ static void frames_that_the_bus_does_not_take_are_counted(void)
     uint64_t before = w.machine.tx_full, cycles = w.machine.cycle.count;
     go_on(100 * MS);
     CHECK(w.machine.cycle.count >= cycles + 9);
-    CHECK(w.machine.tx_full - before == w.machine.cycle.count - cycles); /* each has one frame */
+    CHECK(w.machine.tx_full - before == w.machine.cycle.count - cycles); /* each cycle has one
+                                                                            frame */
 }
 
 static void standing_down_is_a_stop_and_ends_jobs(void)
@@ -324,7 +325,7 @@ static void a_request_that_was_overtaken_counts_as_a_stop(void)
 {
     begin_with(1);
     arm(0);
-    request(0, DRIVE_READY); /* it is more than that already */
+    request(0, DRIVE_READY); /* an armed drive is set up already */
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
     uint32_t stops = state_of(0)->stops;
     w.machine.control.drive[0].count++;
@@ -359,7 +360,7 @@ static void a_newly_armed_drive_waits_for_the_core_to_enable_it_again(void)
     w.powered = true;
     go_on(50 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_ARMED);
-    w.machine.enabled_count = 6; /* it was enabled, and is no more */
+    w.machine.enabled_count = 6; /* a look ago it was enabled, and it is not any more */
     step();
     CHECK(state_of(0)->state.mode == DRIVE_READY &&
           state_of(0)->state.fault_reasons == DRIVE_FAULT_NOT_ENABLED);
@@ -389,7 +390,7 @@ static void slow_requests_are_sent_in_the_first_cycle_and_then_by_turns(void)
         uint32_t turn = 0;
         for (uint32_t i = 0; i < w.sent_count; i++) {
             if (w.sent[i].id >= SLOW) {
-                /* after each second set-point frame */
+                /* after every second set-point frame */
                 CHECK(w.sent[i].id == SLOW + turn % 3 && i == 3 * turn + 1);
                 turn++;
             }
@@ -400,7 +401,7 @@ static void slow_requests_are_sent_in_the_first_cycle_and_then_by_turns(void)
     drive->slow_count = 1;
     restart();
     forget_sent();
-    request(0, DRIVE_READY); /* the first cycle is due */
+    request(0, DRIVE_READY); /* the first cycle is due now */
     CHECK(count_sent(SLOW) == 1 && count_sent(SLOW + 1) == 0);
 }
 
@@ -442,7 +443,7 @@ static void motion_in_the_second_frame_alone_waits_for_its_cycle(void)
     drive->output[1].packet.id = OFF_WORD;
     drive->output[1].setpoint[0].scale.raw_per_si = -100.0;
     drive->output[1].setpoint[0].scale.joint = 1;
-    drive->output[0].setpoint[0].scale.raw_max = 0.0; /* backwards only */
+    drive->output[0].setpoint[0].scale.raw_max = 0.0; /* backward only */
     restart();
     arm(0);
     go_on(30 * MS);
@@ -455,7 +456,8 @@ static void motion_in_the_second_frame_alone_waits_for_its_cycle(void)
         report_motion(0, 1.0F, 0.0F);
         step();
     }
-    CHECK(count_sent(SPEED) <= 2 && count_sent(OFF_WORD) <= 2); /* 10 ms are one cycle, or two */
+    CHECK(count_sent(SPEED) <= 2 && count_sent(OFF_WORD) <= 2); /* at most the frames of two
+                                                                   cycles */
 }
 
 int main(void)

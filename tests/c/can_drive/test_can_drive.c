@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus, step by step: which frames it is sent, when state is cleared, and what
- * asyncio gets. */
+ * One drive of a CAN bus, step by step: which frames it is sent, when its state is cleared, and
+ * when asyncio is notified. */
 #include "can_wire.h"
 
 enum { SECOND = 0x700 };
@@ -22,7 +22,7 @@ static void hold(uint32_t byte, uint8_t value)
     step();
 }
 
-/* ---------------------------------------------------------------------- what it is sent */
+/* ------------------------------------------------------------------ frames to the drive */
 static void a_drive_that_gets_all_its_frames_is_never_left_alone(void)
 {
     begin_with(1);
@@ -62,7 +62,7 @@ static void a_write_to_a_frame_of_the_cycle_keeps_the_other_held_bytes(void)
 static void held_bytes_are_cleared_with_the_drive(void)
 {
     begin_with(1);
-    table_of(0)->disarm[0].mask[1] = 0; /* byte 1 is not the stop's to write */
+    table_of(0)->disarm[0].mask[1] = 0; /* byte 1 is not part of the stop */
     table_of(0)->quick_stop[0].mask[1] = 0;
     restart();
     arm(0);
@@ -78,7 +78,7 @@ static void held_bytes_are_cleared_with_the_drive(void)
     hold(1, 0x5A);
     forget_sent();
     become_unresponsive();
-    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && newest_of(0)->data[1] == 0);
+    CHECK(first_sent_ns(0, QUICK_STOP) > 0 && newest_of(0)->data[1] == 0);
 }
 
 /* A drive of two wheels in two frames. */
@@ -140,7 +140,7 @@ static void motion_that_only_some_frames_carried_is_followed_by_zero(void)
     CHECK(speed_in(newest_of(0)) == 0 && !state_of(0)->state.sent_motion);
 }
 
-/* ---------------------------------------------------------------------------- its power */
+/* -------------------------------------------------------------------------------- power */
 static void a_drive_with_power_that_was_not_armed_is_switched_off_and_reported_once(void)
 {
     begin_with(1);
@@ -150,14 +150,14 @@ static void a_drive_with_power_that_was_not_armed_is_switched_off_and_reported_o
     (void)took_changes();
     report_state(0, 8);
     report_state(0, 8);
-    report_state(0, 1); /* the count restarts */
+    report_state(0, 1); /* the count of reports restarts */
     report_state(0, 8);
     report_state(0, 8);
     CHECK(state_of(0)->state.fault_reasons == 0 && !took_changes());
     report_state(0, 8);
     CHECK(state_of(0)->state.fault_reasons == DRIVE_FAULT_STILL_ENABLED && took_changes());
     report_state(0, 8);
-    CHECK(!took_changes() && count_sent(SPEED) == 0); /* frames that come send nothing */
+    CHECK(!took_changes() && count_sent(SPEED) == 0); /* feedback causes no frame */
     uint32_t stops = state_of(0)->stops;
     w.now_ns = w.machine.cycle.due_ns;
     step();
@@ -166,7 +166,7 @@ static void a_drive_with_power_that_was_not_armed_is_switched_off_and_reported_o
     CHECK(state_of(0)->stops == stops + 1);
 }
 
-/* One that may be sent nothing at rest, not even zero, and cannot report whether it has power. */
+/* A drive that gets no frame at rest, not even zero, and cannot report whether it has power. */
 static void begin_without_reported_power(void)
 {
     begin_with(1);
@@ -199,12 +199,13 @@ static void a_drive_without_reported_power_gets_power_offs_periodically_unless_i
     w.enabled = 2;
     go_on(105 * MS);
     forget_sent();
-    go_on(300 * MS); /* it comes to rest: its power stays until then */
+    go_on(300 * MS); /* the drive comes to rest, and keeps its power until then */
     CHECK(state_of(0)->state.stopping && count_sent(CONTROL) == 0 && count_sent(SPEED) >= 29);
     w.reported_rad_s = 0.0;
     w.machine.control.drive[0].arming_until_ns = INT64_MAX;
     go_on(100 * MS);
-    CHECK(!state_of(0)->state.stopping && count_sent(CONTROL) == 1); /* sent once */
+    CHECK(!state_of(0)->state.stopping && count_sent(CONTROL) == 1); /* the power-off is sent
+                                                                        once */
 }
 
 static void time_without_set_points_before_arming_does_not_count_as_left_alone(void)
@@ -258,7 +259,7 @@ static void switching_off_takes_the_power_of_a_powered_drive_and_sends_others_no
     request(0, DRIVE_OFF);
     CHECK(w.sent_count == 0);
     request(0, DRIVE_READY);
-    w.velocity_rad_s = 0.0; /* armed, and sent zero */
+    w.velocity_rad_s = 0.0; /* zero is sent to the armed drive */
     request(0, DRIVE_ARMED);
     go_on(30 * MS);
     forget_sent();
@@ -268,7 +269,7 @@ static void switching_off_takes_the_power_of_a_powered_drive_and_sends_others_no
     request(0, DRIVE_ARMED);
     w.reported_rad_s = 1.0;
     go_on(20 * MS);
-    w.enabled = 2; /* a quick stop that waits for rest */
+    w.enabled = 2; /* old set-points: a quick stop that waits for rest */
     go_on(120 * MS);
     CHECK(state_of(0)->state.stopping && !state_of(0)->state.sent_motion);
     forget_sent();
@@ -276,7 +277,7 @@ static void switching_off_takes_the_power_of_a_powered_drive_and_sends_others_no
     CHECK(w.sent_count == 1 && w.sent[0].id == CONTROL);
 }
 
-/* ------------------------------------------------------------------ what is known of it */
+/* ----------------------------------------------------------------------------- feedback */
 static void reports_from_before_a_change_do_not_count_after_it(void)
 {
     begin_with(1);
@@ -343,7 +344,7 @@ static void after_the_next_arming_it_may_wait_again_for_the_core(void)
     CHECK(state_of(0)->state.mode == DRIVE_ARMED && state_of(0)->state.fault_reasons == 0);
 }
 
-/* -------------------------------------------------------------------- what asyncio gets */
+/* ------------------------------------------------------------- notifications of asyncio */
 static void asyncio_is_notified_of_each_change(void)
 {
     begin_with(1);
@@ -375,7 +376,7 @@ static void asyncio_is_notified_of_each_change(void)
     w.full = true;
     w.silent = false;
     go_on(20 * MS);
-    CHECK(state_of(0)->state.back && took_changes()); /* it has to be switched off first */
+    CHECK(state_of(0)->state.back && took_changes()); /* the drive has to be switched off first */
     go_on(20 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && !took_changes());
     w.full = false;
@@ -392,7 +393,7 @@ static void a_change_in_any_of_its_frames_is_noticed_and_in_no_other(void)
             (void)can_build(&w.machine, 0, o, &packet);
             memcpy(w.machine.drive[0].last_sent[o], packet.data, packet.bytes);
         }
-        /* after the last one */
+        /* a frame beyond the count */
         w.machine.table.drive[0].output[2] = w.machine.table.drive[0].output[1];
         CHECK(!can_differs(&w.machine, 0));
         w.machine.drive[0].last_sent[other][0] ^= 1;

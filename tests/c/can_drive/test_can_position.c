@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Positions on a CAN bus: a drive without power gets its own position, one that must not move
- * gets nothing. */
+ * Positions on a CAN bus: a drive without power gets its own position; a drive that must not move
+ * gets no target. */
 #include <math.h>
 
 #include "can_position_rig.h"
@@ -11,12 +11,12 @@ static void a_drive_without_power_gets_its_own_position(void)
     begin();
     wanted_rad = 1.0, positioned = 1;
     run(2.25F, 50 * MS);
-    CHECK(count_sent(SPEED) == 0); /* nothing is known of it yet: not set up */
+    CHECK(count_sent(SPEED) == 0); /* the drive is not set up */
     ask_for(DRIVE_READY);
     forget_sent();
     run(2.25F, 50 * MS);
     CHECK(count_sent(SPEED) >= 4 && target_in(newest_of(0)) == 2.25F);
-    run(-3.5F, 50 * MS); /* turned by hand */
+    run(-3.5F, 50 * MS); /* a person turns the drive by hand */
     CHECK(target_in(newest_of(0)) == -3.5F && !state_of(0)->state.sent_motion &&
           !can_wants_motion(m, 0));
     run(11.0F, 10 * MS); /* a position that is no valid target */
@@ -29,9 +29,9 @@ static void a_drive_without_power_gets_its_own_position(void)
     step();
     CHECK(isnan(m->joint[0].place.measured));
     forget_sent();
-    w.powered = true; /* it should not be */
+    w.powered = true; /* the drive should have no power */
     run(2.25F, 10 * MS);
-    CHECK(count_sent(SPEED) <= 1); /* its power-off, and no place */
+    CHECK(count_sent(SPEED) <= 1); /* at most the power-off, and no target */
 }
 
 static void an_armed_drive_gets_its_targets_and_nothing_without_one(void)
@@ -56,7 +56,7 @@ static void an_armed_drive_gets_its_targets_and_nothing_without_one(void)
     }
 }
 
-/* A drive that got nothing for the time of its watchdog may have stopped by itself: the line
+/* A drive that received nothing for the time of its watchdog may have stopped by itself. The line
  * stops it, too. */
 static void a_drive_whose_targets_are_withheld_too_long_is_left_alone(void)
 {
@@ -90,7 +90,8 @@ static void a_drive_that_does_not_answer_gets_stops_and_no_target(void)
     }
 }
 
-/* 2 rad/s are a turn a second: 0.1 in the time for which a position is fresh. */
+/* 2 rad/s are one turn a second. A position is fresh for 0.1 s, in which the drive moves by 0.1
+ * turns. */
 static void begin_at_limited_speed(void)
 {
     begin();
@@ -102,14 +103,14 @@ static void the_first_target_is_its_own_position_and_later_ones_move_from_there(
 {
     begin_at_limited_speed();
     make_armed();
-    wanted_rad = 0.6, positioned = 1; /* 2.3 */
+    wanted_rad = 0.6, positioned = 1; /* 2.3 turns */
     forget_sent();
     run(2.25F, 2 * MS);
     while (count_sent(SPEED) == 0) {
         run(2.25F, 2 * MS);
     }
     CHECK(target_in(newest_of(0)) == 2.25F);
-    wanted_rad = 2.0; /* 3.0 */
+    wanted_rad = 2.0; /* 3.0 turns */
     float last = 2.25F;
     int64_t began_ns = w.now_ns;
     while (last < 3.0F && w.now_ns < began_ns + 2000 * MS) {
@@ -139,7 +140,8 @@ static void a_first_target_far_from_its_position_takes_the_power(void)
     }
 }
 
-/* Beyond its range, old, or NaN: neither ARMED nor the frames that would give it its power. */
+/* Cases: the position is out of range, old or NaN. The drive is not armed, and gets no frame that
+ * would power it. */
 static void a_drive_whose_position_is_missing_gets_no_power(void)
 {
     for (uint32_t why = 0; why < 4; why++) {
@@ -181,7 +183,8 @@ static void its_reference_is_reported_beside_its_power(void)
     CHECK(m->joint[0].feedback.referenced == 1 && state_of(0)->state.enabled == 1);
 }
 
-/* A stop has a target, too: the position of the drive, or its last target while that is unknown. */
+/* A stop contains a target, too: the drive's position, or its last target while the position is
+ * unknown. */
 static void a_stop_keeps_the_target_in_its_frame(void)
 {
     static const float AT[] = {3.0F, 11.0F}, KEPT[] = {3.0F, 2.25F};
@@ -195,7 +198,7 @@ static void a_stop_keeps_the_target_in_its_frame(void)
     }
 }
 
-/* The second target of a frame is in turns of 16 bits. */
+/* The second target of the frame is a number of turns in 16 bits. */
 static void a_stop_keeps_each_target_of_its_frame_and_no_other_byte(void)
 {
     static const can_setpoint SECOND = {
@@ -232,7 +235,7 @@ static void a_frame_is_sent_only_when_each_of_its_targets_is_known(void)
     can_setpoint *setpoint = machine->table.drive[0].output[0].setpoint;
     CHECK(can_sends(m, 0, 0));
     setpoint[1] = setpoint[0];
-    setpoint[1].scale.raw_max = 1.0; /* where it is lies beyond */
+    setpoint[1].scale.raw_max = 1.0; /* the position is out of this range */
     CHECK(can_sends(m, 0, 0));
     machine->table.drive[0].output[0].setpoint_count = 2;
     CHECK(!can_sends(m, 0, 0));
@@ -247,7 +250,7 @@ static void a_frame_is_sent_only_when_each_of_its_targets_is_known(void)
     CHECK(!can_sends(m, 0, 0));
 }
 
-/* Only a drive at rest without power gets its own position. */
+/* A drive gets its own position as target only at rest without power. */
 static void only_a_ready_drive_without_power_keeps_its_own_position_as_target(void)
 {
     static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_UNRESPONSIVE,
@@ -304,8 +307,8 @@ static void a_joint_without_set_points_gets_no_target(void)
     CHECK(!setpoint_position(&from, 0, &position_rad));
 }
 
-/* A second target of the frame, or a second frame, for a joint of its own, whose position is not
- * known. */
+/* The drive has a second target in its frame or a second frame, for another joint, whose position
+ * is unknown. */
 static void begin_with_two(uint32_t targets, uint32_t frames)
 {
     begin();
@@ -379,7 +382,7 @@ static void each_target_that_left_is_the_start_of_the_next_one_and_no_other(void
     }
 }
 
-/* Three of its cycles are longer than the time-out: its position is read no more often. */
+/* A position is read once in a cycle, and three cycles are longer than the time-out. */
 static void on_a_slow_bus_a_position_is_fresh_for_three_cycles(void)
 {
     static const int64_t AGES_NS[] = {201 * 1000000, 299 * 1000000, 301 * 1000000, 399 * 1000000};
@@ -397,7 +400,8 @@ static void on_a_slow_bus_a_position_is_fresh_for_three_cycles(void)
     }
 }
 
-/* The time since its newest target counts up to the kick: without it no target would be new. */
+/* The time since the newest target counts until the kick. Without it the new target would equal the
+ * old one. */
 static void a_new_target_is_sent_at_once_as_far_as_the_joint_s_speed_allows(void)
 {
     begin();
@@ -411,7 +415,7 @@ static void a_new_target_is_sent_at_once_as_far_as_the_joint_s_speed_allows(void
     CHECK(target_in(newest_of(0)) == 2.25F && m->joint[0].place.sent_ns == w.now_ns);
     wanted_rad = 1.0;
     put();
-    CHECK(!can_differs(m, 0)); /* in no time it has come nowhere */
+    CHECK(!can_differs(m, 0)); /* without time the target does not change */
     w.now_ns += MS;
     forget_sent();
     put();

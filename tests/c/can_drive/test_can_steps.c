@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_can_steps: one drive of a bus by itself: what each request and each look sets, keeps and
- * forgets. */
+ * test_can_steps: one drive of a CAN bus: which state each request and each look sets, keeps and
+ * clears. */
 #include "can_wire.h"
 
 static can_drive_state *drive;
@@ -27,7 +27,7 @@ static void obey(uint32_t mode, uint32_t unseen)
     can_obey_request(&w.machine, 0, w.now_ns);
     CHECK(w.machine.notify);
     w.machine.notify = false;
-    can_obey_request(&w.machine, 0, w.now_ns); /* the same again is no request */
+    can_obey_request(&w.machine, 0, w.now_ns); /* the same count is no new request */
     CHECK(!w.machine.notify);
 }
 
@@ -72,7 +72,7 @@ static void it_is_armed_when_nothing_prevents_it_and_its_state_is_reset(void)
         drive->state.off_due = against == 7;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
-        /* an overtaken request may have been a stop: there is nothing to stop */
+        /* an overtaken request may have been a stop; nothing here needs one */
         bool armed = against == 0 || against == 5;
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
@@ -83,8 +83,8 @@ static void it_is_armed_when_nothing_prevents_it_and_its_state_is_reset(void)
     }
 }
 
-/* It has power where it is armed, stopping, sent motion, or reported to be enabled. Unseen
- * requests may have been a stop. */
+/* A drive may have power if it is armed, stopping, was sent motion, or reports that it is enabled.
+ * A request that was not seen may have been a stop. */
 static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_drive(void)
 {
     static const uint32_t MODES[] = {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_STAND_DOWN};
@@ -111,7 +111,7 @@ static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_dri
                     expected = DRIVE_ARMED;
                 }
                 if (mode == DRIVE_READY && has == 1 && !off) {
-                    expected = DRIVE_ARMED; /* it is set up */
+                    expected = DRIVE_ARMED; /* an armed drive is set up */
                 }
                 CHECK(drive->state.mode == expected && drive->state.back == (mode != DRIVE_OFF));
                 CHECK(has != 1 || mode == DRIVE_OFF || expected == DRIVE_ARMED ||
@@ -128,7 +128,7 @@ static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_dri
     CHECK(drive->state.mode == DRIVE_UNRESPONSIVE && drive->stops == stops + 1);
 }
 
-/* Whether and why an armed drive stops after a look. */
+/* Checks whether and why an armed drive stops after a look. */
 static void guarded(uint32_t why, uint32_t stop)
 {
     for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
@@ -177,7 +177,7 @@ static void an_armed_drive_whose_set_points_are_no_longer_enabled_loses_its_powe
     begin_armed();
     w.machine.newest.enabled = 0;
     drive->state.enabled_count = w.machine.enabled_count = 7;
-    guarded(0, STOP_NOTHING); /* they were not enabled yet */
+    guarded(0, STOP_NOTHING); /* not enabled yet since the arming */
     w.machine.newest.enabled = 1;
     guarded(0, STOP_NOTHING);
     CHECK(drive->state.was_enabled);
@@ -185,7 +185,8 @@ static void an_armed_drive_whose_set_points_are_no_longer_enabled_loses_its_powe
     guarded(DRIVE_FAULT_NOT_ENABLED, STOP_POWER_OFF);
     begin_armed();
     w.machine.newest.enabled = 0;
-    drive->state.enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
+    drive->state.enabled_count = 7, w.machine.enabled_count = 8; /* enabled and disabled between two
+                                                                    looks */
     guarded(DRIVE_FAULT_NOT_ENABLED, STOP_POWER_OFF);
 }
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A drive that turns, and a bus that takes nothing just when it has to be stopped. */
+ * A drive turns, and the CAN bus takes no frames when the drive has to be stopped. */
 #include "can_wire.h"
 
 static void drive_off_on_a_full_bus(void)
@@ -22,7 +22,7 @@ static void standing_down_sends_zero_at_once_to_a_drive_that_is_sent_nothing_at_
     forget_sent();
     request(0, DRIVE_STAND_DOWN);
     CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 0);
-    /* its power is Python's to take: nothing more is sent */
+    /* Python is arming the drive, and takes its power itself: no more frames */
     w.machine.control.drive[0].arming_until_ns = INT64_MAX;
     go_on(50 * MS);
     CHECK(count_sent(SPEED) == 1);
@@ -35,7 +35,7 @@ static void switching_off_a_drive_that_has_not_received_zero_takes_its_power(voi
     request(0, DRIVE_OFF);
     w.full = false;
     go_on(2 * MS);
-    CHECK(last_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
+    CHECK(first_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
 static void a_pending_stop_outlives_a_new_set_up(void)
@@ -44,21 +44,21 @@ static void a_pending_stop_outlives_a_new_set_up(void)
     request(0, DRIVE_OFF);
     request(0, DRIVE_READY);
     request(0, DRIVE_ARMED);
-    CHECK(w.machine.drive[0].state.mode == DRIVE_READY); /* not before it has been stopped */
+    CHECK(w.machine.drive[0].state.mode == DRIVE_READY); /* not before the pending stop is sent */
     w.full = false;
     go_on(2 * MS);
-    CHECK(last_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
+    CHECK(first_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
 static void a_stop_that_a_newer_request_overtook_is_still_carried_out(void)
 {
     drive_off_on_a_full_bus();
     w.full = false;
-    w.machine.control.drive[0].count++; /* STAND_DOWN or OFF, before the next one took its place */
+    w.machine.control.drive[0].count++; /* a STAND_DOWN or OFF that the next request has replaced */
     request(0, DRIVE_ARMED);
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY);
     go_on(2 * MS);
-    CHECK(last_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
+    CHECK(first_sent_ns(0, DISABLE) > 0 && speed_in(newest_of(0)) == 0);
 }
 
 static void an_unresponsive_drive_is_sent_its_stop_in_each_cycle_until_the_bus_takes_it(void)
@@ -70,7 +70,7 @@ static void an_unresponsive_drive_is_sent_its_stop_in_each_cycle_until_the_bus_t
     w.full = false;
     int64_t taken_ns = w.now_ns;
     go_on(12 * MS);
-    CHECK(last_sent_ns(0, QUICK_STOP) >= taken_ns && speed_in(newest_of(0)) == 0);
+    CHECK(first_sent_ns(0, QUICK_STOP) >= taken_ns && speed_in(newest_of(0)) == 0);
 }
 
 static void a_drive_that_falls_silent_after_a_lost_set_up_is_stopped(void)
@@ -83,7 +83,7 @@ static void a_drive_that_falls_silent_after_a_lost_set_up_is_stopped(void)
     CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE);
     w.full = false;
     go_on(12 * MS);
-    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
+    CHECK(first_sent_ns(0, QUICK_STOP) > 0 && speed_in(newest_of(0)) == 0);
 }
 
 static void a_drive_that_was_armed_is_stopped_after_a_reopening_even_when_it_is_silent(void)
@@ -97,23 +97,23 @@ static void a_drive_that_was_armed_is_stopped_after_a_reopening_even_when_it_is_
     int64_t opened_ns = w.now_ns;
     go_on(12 * MS);
     CHECK(w.machine.drive[0].state.mode == DRIVE_OFF);
-    CHECK(last_sent_ns(0, QUICK_STOP) >= opened_ns && speed_in(newest_of(0)) == 0);
-    CHECK(count_sent(SPEED + 1) == 0); /* it was never armed */
+    CHECK(first_sent_ns(0, QUICK_STOP) >= opened_ns && speed_in(newest_of(0)) == 0);
+    CHECK(count_sent(SPEED + 1) == 0); /* this drive was never armed */
     go_on(2500 * MS);
-    CHECK(last_sent_ns(0, DISABLE) > opened_ns);
+    CHECK(first_sent_ns(0, DISABLE) > opened_ns);
     w.silent = false;
     go_on(100 * MS);
     forget_sent();
     go_on(2500 * MS);
-    CHECK(count_sent(SPEED) == 0); /* received: its set-up is Python's */
+    CHECK(count_sent(SPEED) == 0); /* the stop was received; now Python has to set the drive up */
     request(0, DRIVE_READY);
     restart();
     forget_sent();
     go_on(100 * MS);
-    CHECK(count_sent(SPEED) == 0); /* and since then it does not turn */
+    CHECK(count_sent(SPEED) == 0); /* the drive has not been turning since then */
 }
 
-/* ------------------------------------------------------------ what waits for a dead bus */
+/* ---------------------------------------------------- frames in the queue of a dead bus */
 static uint32_t moving(uint32_t drive)
 {
     uint32_t count = 0;
@@ -171,13 +171,13 @@ static void at_most_two_cycles_of_motion_wait_in_the_kernel_followed_by_zero(voi
 {
     turning(2);
     can_machine_left(&w.machine);
-    w.machine.receives_own = true; /* and nothing more is reported to have left */
+    w.machine.receives_own = true; /* no frame is reported to have left any more */
     go_on(150 * MS);
     for (uint32_t i = 0; i < 2; i++) {
         CHECK(moving(i) >= 1 && moving(i) <= 2 && speed_in(newest_of(i)) == 0 &&
               state_of(i)->state.mode == DRIVE_ARMED);
     }
-    CHECK(w.machine.tx_full >= 10); /* another node can see it */
+    CHECK(w.machine.tx_full >= 10); /* another node can see that the bus is blocked */
     can_machine_left(&w.machine);
     forget_sent();
     go_on(10 * MS);
@@ -197,7 +197,7 @@ static void motion_that_leaves_in_its_cycle_continues(void)
     CHECK(moving(0) == count_sent(SPEED) && moving(0) >= 49);
 }
 
-/* A USB adapter takes longer than a cycle of 1 ms to report it. */
+/* A USB adapter reports later than one cycle of 1 ms that a frame has left. */
 static void motion_reported_some_milliseconds_late_continues(void)
 {
     turning(1);
@@ -225,9 +225,10 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
               state_of(i)->may_turn);
         CHECK(state_of(i)->state.fault_reasons == 0);
     }
-    CHECK(!state_of(2)->may_turn && !state_of(2)->state.stopping); /* the table has none */
+    CHECK(!state_of(2)->may_turn && !state_of(2)->state.stopping); /* the table has no third
+                                                                      drive */
     for (uint32_t i = 0; i < w.sent_count; i++) {
-        /* and zero speed */
+        /* speed 0 */
         CHECK(w.sent[i].data[0] == QUICK_STOP && w.sent[i].data[2] == 0 && w.sent[i].data[3] == 0);
     }
     CHECK(count_sent(SPEED) > 2 && count_sent(SPEED + 1) > 2);

@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives that take a target with a bit, and acknowledge it. */
+ * Drives that take a target when a bit triggers them, and acknowledge it. */
 #include "can_position_rig.h"
 
-/* The trigger is a bit of its last byte; bit 4 of what the drive sends is set when it has taken
- * the target. */
+/* The trigger is a bit of the last byte. The drive sets bit 4 of its state when it has taken the
+ * target. */
 static void begin_with_trigger(void)
 {
     begin();
@@ -43,7 +43,7 @@ static void a_target_is_triggered_until_the_drive_takes_it_and_again_when_it_wai
     run(2.25F, 20 * MS);
     ask_for(DRIVE_READY);
     run(2.25F, 50 * MS);
-    /* where it is, without power: nothing is taken */
+    /* without power the target is the drive's position, and no trigger is sent */
     CHECK(count_sent(SPEED) > 0 && trigger_sent() == 0);
     w.powered = true;
     ask_for(DRIVE_ARMED);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * One drive of a bus: how it is polled, when it counts as unresponsive, and what is sent to one
- * that may still receive. */
+ * One drive of a CAN bus: how it is polled, when it counts as unresponsive, and which frames it is
+ * sent then, because it may still receive. */
 #include "can_wire.h"
 
 enum { ASK = 0x600, SLOW = 0x610, PROBE = 0x620 };
@@ -70,13 +70,13 @@ an_unresponsive_drive_that_may_turn_gets_zero_and_quick_stops_and_is_off_after_a
     forget_sent();
     int64_t unresponsive_ns = w.now_ns;
     go_on(950 * MS);
-    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && last_sent_ns(0, DISABLE) == 0 &&
+    CHECK(first_sent_ns(0, QUICK_STOP) > 0 && first_sent_ns(0, DISABLE) == 0 &&
           !state_of(0)->state.sent_motion);
     for (uint32_t i = 0; i < w.sent_count; i++) {
         CHECK(speed_in(&w.sent[i]) == 0);
     }
     go_on(1000 * MS);
-    CHECK(last_sent_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
+    CHECK(first_sent_ns(0, DISABLE) > unresponsive_ns + 1000 * MS);
 }
 
 static void a_probe_that_the_bus_took_in_part_is_sent_again_in_the_next_cycle(void)
@@ -85,14 +85,15 @@ static void a_probe_that_the_bus_took_in_part_is_sent_again_in_the_next_cycle(vo
     can_drive *drive = table_of(0);
     drive->quick_stop_count = 2;
     drive->quick_stop[1] = drive->quick_stop[0];
-    drive->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)}; /* this one is not taken */
+    drive->quick_stop[0] = (can_write){.packet = packet_of(CONTROL, 1)}; /* the bus does not take
+                                                                            this one */
     restart();
     arm_and_go();
     w.not_taken = CONTROL;
     become_unresponsive();
     forget_sent();
     go_on(50 * MS);
-    CHECK(count_sent(SPEED) >= 8); /* two a cycle: its stop and its zero */
+    CHECK(count_sent(SPEED) >= 8); /* two in each cycle: stop and zero */
     w.not_taken = 0;
     go_on(12 * MS);
     CHECK(count_sent(CONTROL) == 1);
@@ -130,7 +131,7 @@ static void a_drive_switched_off_while_it_came_back_stays_off(void)
     request(0, DRIVE_OFF);
     w.full = false;
     go_on(30 * MS);
-    CHECK(state_of(0)->state.mode == DRIVE_OFF && last_sent_ns(0, DISABLE) > 0);
+    CHECK(state_of(0)->state.mode == DRIVE_OFF && first_sent_ns(0, DISABLE) > 0);
 }
 
 static void a_newly_set_up_drive_has_the_time_of_its_silence_for_its_first_frame(void)
@@ -144,7 +145,8 @@ static void a_newly_set_up_drive_has_the_time_of_its_silence_for_its_first_frame
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 2);
 }
 
-/* Its frames arrive all the time, but it is set up again only when it answers its hello. */
+/* The drive's frames arrive all the time, but it is set up again only when it has answered its
+ * hello. */
 static void a_drive_with_a_hello_is_back_when_it_has_answered(void)
 {
     begin_with(1);
@@ -164,7 +166,7 @@ static void a_drive_with_a_hello_is_back_when_it_has_answered(void)
     become_unresponsive();
     w.silent = w.powered = false;
     go_on(500 * MS);
-    /* its old answer counts no more */
+    /* its old answer does not count any more */
     CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && state_of(0)->missing == 3);
     (void)say(ANSWER, answer, 8);
     go_on(20 * MS);
@@ -188,7 +190,7 @@ static void the_stop_at_the_end_waits_for_the_bus_even_when_the_drive_is_unrespo
     go_on(2 * MS);
     CHECK(w.sent[0].data[0] == QUICK_STOP && speed_in(&w.sent[0]) == 0);
     go_on(300 * MS);
-    CHECK(w.machine.end.stage == END_SILENT && last_sent_ns(0, DISABLE) > 0);
+    CHECK(w.machine.end.stage == END_SILENT && first_sent_ns(0, DISABLE) > 0);
 }
 
 int main(void)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a drive of two wheels on a CAN bus is sent in one frame, and how its reports are read. */
+ * A drive with two wheels on a CAN bus: set-points in one frame, and how its reports are read. */
 #include "can_wire.h"
 
 enum { SECOND = 0x410, HEALTH = 0x510, POWERS = 0x520, HARMLESS = 4 };
@@ -21,8 +21,8 @@ static void add_input(uint32_t id, uint32_t fast, const can_field *field, uint32
         (can_match){.id = id, .bytes = 8, .input = drive->input_count};
 }
 
-/* Wheel 0 reports its motion as before; wheel 1 a count and a speed that are not 0 at raw 0; both
- * report health and power periodically. */
+/* Wheel 0 reports its motion in the usual frame. Count and speed of wheel 1 are not 0 for raw 0.
+ * Both wheels report health and power periodically. */
 static void begin_with_two_wheels(void)
 {
     begin_with(1);
@@ -78,7 +78,7 @@ static const joint_feedback *feedback_of(uint32_t joint)
     return &w.machine.joint[joint].feedback;
 }
 
-/* --------------------------------------------------------------------------------- sent */
+/* --------------------------------------------------------------------------- set-points */
 static void both_wheels_are_sent_in_one_frame(void)
 {
     begin_with_two_wheels();
@@ -90,7 +90,7 @@ static void both_wheels_are_sent_in_one_frame(void)
     forget_sent();
     go_on(90 * MS);
     CHECK(speed_in(newest_of(0)) == 0 && second_speed() == -200 && state_of(0)->state.sent_motion);
-    /* one wheel turns: nothing is to be stopped between two cycles */
+    /* while one wheel turns, the zero of the other one causes no stop frames between cycles */
     CHECK(w.sent_count >= 8 && w.sent_count <= 10);
     want(0.0, 0.0);
     step();
@@ -105,8 +105,8 @@ static void a_drive_is_at_rest_when_both_of_its_wheels_rest(void)
     go_on(30 * MS);
     w.enabled = 2;
     go_on(150 * MS);
-    CHECK(last_sent_ns(0, QUICK_STOP) > 0 && state_of(0)->state.stopping &&
-          last_sent_ns(0, DISABLE) == 0);
+    CHECK(first_sent_ns(0, QUICK_STOP) > 0 && state_of(0)->state.stopping &&
+          first_sent_ns(0, DISABLE) == 0);
     report_second(0, 1); /* 0 rad/s */
     step();
     CHECK(!state_of(0)->state.stopping);
@@ -130,7 +130,7 @@ static void each_kind_of_set_point_is_sent_with_its_own_scale(void)
     }
 }
 
-/* ----------------------------------------------------------------------------- reported */
+/* ----------------------------------------------------------------------------- feedback */
 static void numbers_without_their_top_bit_are_positive(void)
 {
     const uint8_t data[2] = {0x00, 0x40};
@@ -154,7 +154,7 @@ static void the_value_at_raw_zero_is_added(void)
 static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_newest_frame(void)
 {
     begin_with_two_wheels();
-    table_of(0)->input[1].field_count = 1; /* wheel 0: a count alone, and its speed in HEALTH */
+    table_of(0)->input[1].field_count = 1; /* wheel 0: the count alone; its speed is in HEALTH */
     table_of(0)->input[2].field[0].meaning.kind = FIELD_CURRENT; /* wheel 1: no count */
     table_of(0)->input[4].field[0] = field_of(0, FIELD_VELOCITY, 0, 32);
     restart();
@@ -168,7 +168,7 @@ static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_new
     report_health(0);
     const uint8_t powers[8] = {0};
     (void)say(POWERS, powers, sizeof powers);
-    report_state(0, 8); /* the last of the fast ones: now both wheels are known */
+    report_state(0, 8); /* the last fast frame: now both wheels are known */
     CHECK(w.machine.feedback_mask == 3 && state_of(0)->cycles == 1);
     CHECK(feedback_of(0)->stamp_ns == count_ns && feedback_of(1)->stamp_ns == speed_ns);
     CHECK(feedback_of(0)->enabled == 1 && feedback_of(1)->enabled == 1);
@@ -182,7 +182,7 @@ static void feedback_has_the_time_of_its_count_else_of_its_speed_else_of_its_new
     int64_t powers_ns = w.now_ns;
     w.now_ns += MS;
     report_state(0, 8);
-    /* its power is no value of the wheel */
+    /* the report of power is no value of the wheel */
     CHECK(feedback_of(1)->stamp_ns == powers_ns);
 }
 
@@ -195,7 +195,7 @@ static void frames_right_after_the_set_up_count_and_power_is_unknown_before(void
     request(0, DRIVE_READY);
     CHECK(state_of(0)->state.enabled == 2);
     w.machine.feedback_mask = 0;
-    w.now_ns += MS; /* sooner than the spacing of wheel 0's frames */
+    w.now_ns += MS; /* sooner than the minimum spacing of wheel 0's frames */
     report_motion(0, 2.0F, 0.0F);
     report_second(0, 1);
     CHECK(w.machine.feedback_mask == 0);
@@ -222,7 +222,7 @@ static void a_fault_word_is_a_change_once_and_stops_unless_it_is_a_warning(void)
     w.machine.notify = false;
     report_health(HARMLESS | 1);
     CHECK(!w.machine.notify && state_of(0)->faults == 1);
-    w.machine.notify = true; /* of something else */
+    w.machine.notify = true; /* set for another reason */
     report_health(HARMLESS | 1);
     CHECK(w.machine.notify);
     report_health(0);
@@ -242,7 +242,7 @@ static void a_fault_that_is_a_number_stops_unless_it_is_listed(void)
     meaning->harmless_codes = 2;
     meaning->harmless[0] = 7;
     meaning->harmless[1] = 9;
-    meaning->harmless[2] = 11; /* not one of the two */
+    meaning->harmless[2] = 11; /* beyond the count of two */
     restart();
     const uint32_t words[] = {7, 9, 11, 5, 0}, stop[] = {0, 0, 11, 5, 0};
     for (uint32_t i = 0; i < 5; i++) {
@@ -301,7 +301,7 @@ static void a_set_point_beyond_the_count_does_not_move(void)
     begin_with(1);
     w.machine.drive[0].state.mode = DRIVE_ARMED;
     can_output *output = &w.machine.table.drive[0].output[0];
-    output->setpoint[1] = output->setpoint[0]; /* of one the second */
+    output->setpoint[1] = output->setpoint[0]; /* a second set-point, beyond the count of one */
     output->setpoint[1].scale.joint = 3;
     w.machine.newest = (setpoints){.stamp_ns = w.now_ns, .enabled = 1, .joint_count = JOINTS_MAX};
     w.machine.newest.joint[3].velocity_rad_s = 1.0;
@@ -313,7 +313,7 @@ static void a_set_point_beyond_the_count_does_not_move(void)
 static void a_field_beyond_the_count_does_not_report_power(void)
 {
     begin_with(1);
-    w.table.drive[0].input[1].field[2] = w.table.drive[0].input[0].field[0]; /* the third of two */
+    w.table.drive[0].input[1].field[2] = w.table.drive[0].input[0].field[0]; /* one too many */
     restart();
     CHECK(w.machine.drive[0].powers == 1);
     w.table.drive[0].input[1].field_count = 3;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A drive on a CAN bus in every mode, and every event. */
+ * A drive on a CAN bus in every mode, and the effect of every event. */
 #include "can_wire.h"
 #include "drive_walk.h"
 
@@ -55,7 +55,7 @@ static void disable_itself(void)
     w.powered = false;
 }
 
-/* It does as it is set here, whatever it is sent. */
+/* The drive keeps the power that is set here, whatever it is sent. */
 static void stay_enabled(void)
 {
     w.powered = true;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * core_rig.h: a base of four wheels around the core. Wheels follow their set-points; time goes
- * by ticks. */
+ * core_rig.h: the core with a base of four wheels, which follow their set-points. Time advances by
+ * ticks. */
 #ifndef MOTORD_TESTS_CORE_RIG_H
 #define MOTORD_TESTS_CORE_RIG_H
 
@@ -22,10 +22,10 @@ typedef struct {
     robot_state shown;
     double position_rad[JOINTS_MAX];
     bool stale; /* feedback is not refreshed */
-    bool mute;  /* nor the command */
+    bool mute;  /* the command is not refreshed */
 } rig;
 
-/* Of a sensor that is fresh for so long. */
+/* A sensor whose samples are fresh for `timeout_s`. */
 static inline gyro_config good_gyro(double timeout_s)
 {
     return (gyro_config){.used = 1,
@@ -96,10 +96,10 @@ static inline bool zero(const rig *r)
     return true;
 }
 
-/* --- a tick by hand: all is well, but for what is changed */
+/* --- ticks by hand: the input is good, except for what a test changes */
 static const int64_t MS_NS = 1000000;
 
-/* One field of the input: a level, a number, or a stamp that is so much older than now. */
+/* One field of the input: a level, a number, or a stamp with an age. */
 typedef struct {
     enum { LEVEL, NUMBER, AGE } kind;
     size_t at;
@@ -128,7 +128,7 @@ static inline void apply(core_input *input, const change *of)
     }
 }
 
-/* The input of the next tick, in which all is well. */
+/* Makes the input of the next tick, in which everything is good. */
 static inline void prepare(rig *r)
 {
     core_input *input = &r->input;

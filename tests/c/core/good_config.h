@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * good_config.h: a base of four wheels, left and right in turn. Also of
- * tests/bench/core_instructions.c. */
+ * good_config.h: a base of four wheels: left, right, left, right. tests/bench/core_instructions.c
+ * uses it, too. */
 #ifndef MOTORD_TESTS_GOOD_CONFIG_H
 #define MOTORD_TESTS_GOOD_CONFIG_H
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_config: which configurations are refused, and by which name: numbers out of their
- * range, wheels that determine no motion, bases with modules, joints without a base. */
+ * test_config: which configurations are refused, and which field is named: numbers out of their
+ * range, wheels that do not determine a motion, bases with modules, joints without a base. */
 #include "steered_bases.h"
 
 #include <errno.h>
@@ -19,7 +19,7 @@ static bool refused(const core_config *config, const char *by)
            core_init(&state, config) == -EINVAL;
 }
 
-/* A base that differs from a good one. */
+/* Check a base in which one field has another value. */
 #define REFUSED(base, field, value, by)                                                            \
     do {                                                                                           \
         core_config changed = base;                                                                \
@@ -130,7 +130,7 @@ static void every_number_has_its_range(void)
     }
     GOOD(good_config(), joint[1].rad_per_count, -1e-12);
     GOOD(good_config(), joint[1].rad_per_count, -1e9);
-    GOOD(good_config(), gyro.timeout_s, NAN); /* of none */
+    GOOD(good_config(), gyro.timeout_s, NAN); /* without a gyro its numbers do not count */
 }
 
 static void limits_checked_alone_are_named_by_axis_and_field(void)
@@ -162,7 +162,7 @@ static void counters_have_the_widths_of_real_drives(void)
         CHECK(good ? is_good(&config) : refused(&config, "joint[0].counter_bits"));
     }
     config.joint[0].counter_bits = 0;
-    config.joint[0].rad_per_count = 0.0; /* nothing is counted */
+    config.joint[0].rad_per_count = 0.0; /* without a counter its scale does not count */
     CHECK(is_good(&config));
 }
 
@@ -183,7 +183,7 @@ static void a_base_has_two_to_eight_wheels_and_they_are_not_all_on_one_side(void
             config.joint[j].row.lever_m = 0.25 * side;
         }
         CHECK(refused(&config, "joint.row"));
-        /* three on one side, one on the other */
+        /* three wheels on one side, one on the other */
         config.joint[3].row.lever_m = side > 0 ? -0.25 : 0.25;
         CHECK(is_good(&config));
     }
@@ -248,9 +248,11 @@ static void a_joint_has_one_module_and_one_role_in_it(void)
 {
     REFUSED(bicycle(), module[0].steering, 3, "module[0].steering");
     REFUSED(bicycle(), module[1].traction, 3, "module[1].traction");
-    REFUSED(bicycle(), module[0].steering, 1, "module[0].steering"); /* it takes velocities */
-    REFUSED(bicycle(), module[1].traction, 2, "module[1].traction"); /* it takes positions */
-    REFUSED(bicycle(), module[0].traction, 1, "module[1].traction"); /* it has been named */
+    REFUSED(bicycle(), module[0].steering, 1, "module[0].steering"); /* the joint takes
+                                                                        velocities */
+    REFUSED(bicycle(), module[1].traction, 2, "module[1].traction"); /* the joint takes positions */
+    REFUSED(bicycle(), module[0].traction, 1, "module[1].traction"); /* the joint is in another
+                                                                        module */
     REFUSED(ackermann(WHEELBASE_M), module[1].steering, 3, "module[1].steering");
     REFUSED(ackermann(WHEELBASE_M), module[3].traction, 1, "module[3].traction");
     REFUSED(bicycle(), module[1].traction, 0, "joint[0]: no module");
@@ -265,7 +267,8 @@ static void a_range_of_derating_ends_after_its_beginning(void)
     for (int by = DERATED_BY_TEMPERATURE; by <= DERATED_BY_VOLTAGE; by++) {
         core_config base = good_config();
         derating_range *range = &base.joint[1].derating.range[by];
-        bool falls = by == DERATED_BY_VOLTAGE; /* the less of it, the slower */
+        bool falls = by == DERATED_BY_VOLTAGE; /* a low voltage derates, and a high temperature or
+                                                  current */
         *range = (derating_range){.full = falls ? 5.0 : 4.0, .none = falls ? 4.0 : 5.0};
         CHECK(is_good(&base));
         *range = (derating_range){.full = 4.0, .none = 4.0};
@@ -282,7 +285,7 @@ static void a_speed_loop_has_a_known_kind(void)
             "joint[2].speed_loop.kind");
 }
 
-/* Where all wheels are steered, each rolls in every direction. */
+/* If all wheels are steered, each has to point in every direction. */
 static void a_swerve_base_needs_half_a_turn_of_each_wheel(void)
 {
     for (uint32_t j = 0; j <= 2; j += 2) {
@@ -293,7 +296,7 @@ static void a_swerve_base_needs_half_a_turn_of_each_wheel(void)
         CHECK(is_good(&base));
         base.joint[j].position.position_max_rad = nextafter(3.1415, 0.0);
         CHECK(refused(&base, by));
-        base.joint[j].position.position_min_rad = -0.5; /* the whole range counts */
+        base.joint[j].position.position_min_rad = -0.5; /* only the width of the range counts */
         CHECK(is_good(&base));
     }
 }
@@ -311,7 +314,7 @@ static void fixed_wheels_stand_on_the_axle_and_steered_ones_do_not(void)
     REFUSED(bicycle(), module[1].angle_rad, 1.0, "module[1].angle_rad");
     REFUSED(bicycle(), module[1].angle_rad, 0.1, "module[1].angle_rad");
     GOOD(bicycle(), module[1].angle_rad, 0.9e-9);
-    core_config base = empty_base(2, 2, 0, 0); /* nothing is steered */
+    core_config base = empty_base(2, 2, 0, 0); /* no wheel is steered */
     base.joint[0] = base.joint[1] = rolling();
     base.module[0] = (wheel_module){.y_m = 0.1, .traction = 1},
     base.module[1] = (wheel_module){.y_m = -0.1, .traction = 2};
@@ -325,7 +328,7 @@ static void modules_that_do_not_determine_the_motion_are_refused(void)
     CHECK(refused(&base, "module"));
     REFUSED(swerve(), module_count, JOINTS_MAX + 1, "module_count");
     base = bicycle();
-    base.module_count = JOINTS_MAX; /* free ones beside the axle */
+    base.module_count = JOINTS_MAX; /* free wheels beside the axle */
     for (int i = 2; i < JOINTS_MAX; i++) {
         base.module[i] = (wheel_module){.y_m = 0.1 * i};
     }
@@ -347,7 +350,8 @@ static void joints_without_a_base_need_no_second_joint_and_no_position(void)
     is_between(&joints, &joints.joint[1].own.deceleration_u_s2, 1e-12, 1e9,
                "joint[1].own.deceleration_u_s2");
     is_between(&joints, &joints.joint[1].own.jerk_u_s3, 1e-12, INFINITY, "joint[1].own.jerk_u_s3");
-    joints.joint[0].own = (axis_limits){.jerk_u_s3 = 0.0}; /* it takes positions */
+    joints.joint[0].own = (axis_limits){.jerk_u_s3 = 0.0}; /* the joint takes positions: its
+                                                              velocity limits do not count */
     CHECK(is_good(&joints));
     core_config base = bicycle();
     base.joint[0].own = (axis_limits){.jerk_u_s3 = 0.0};

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The core as a whole: drives with turns, faults and stops under each action, and hostile
- * numbers everywhere. */
+ * The core as a whole: drives with turns, faults and stops with each action, and hostile numbers
+ * everywhere. */
 #include "core_rig.h"
 
 #include <float.h>
@@ -36,7 +36,7 @@ static void a_ramp_arrives_and_comes_back_through_zero(void)
     limits.linear = (axis_limits){1.0, NAN, NAN, INFINITY};
     CHECK(ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){1.0, 0.0}, 1e-3, false) == 0);
     CHECK(axis[AXIS_LINEAR].velocity_u_s == 0.0 && axis[AXIS_ANGULAR].velocity_u_s == 0.0);
-    /* a step one rounding short of the goal must not pass it */
+    /* a step that ends one rounding before the goal must not pass it */
     double bound = nextafter((1.018640261644444 - 0.008365300070369949) / 1e-3, 0.0);
     limits.linear = (axis_limits){2.0, bound, bound, INFINITY};
     axis[AXIS_LINEAR] = (limit_state){1.018640261644444, 0.0};
@@ -92,8 +92,7 @@ static void a_drive_with_turns_and_saturation_keeps_its_covariance(void)
     CHECK(r.shown.saturation < 1.0 && (r.shown.reasons & REASON_WHEEL_SATURATED));
     CHECK(fabs(r.shown.setpoint_angular_rad_s / r.shown.setpoint_linear_m_s - 1.5 / 0.8) < 1e-9);
     CHECK(r.shown.turned_rad > 1.0 && r.shown.pose_covariance[5] > 1e-6);
-    /* the turn could come faster than the speed goes: it waits, for the wheels are at their
-     * limit meanwhile */
+    /* the turn could ramp faster than the speed, but waits for it: the wheels are at their limit */
     r.input.command.linear_m_s = 0.88;
     r.input.command.angular_rad_s = 0.0;
     ticks(&r, 2000);
@@ -146,7 +145,7 @@ static void every_fault_ends_at_rest_under_every_action(void)
             }
             CHECK(ticks(&r, 4000)->faults != 0 && r.shown.armed == 0);
             CHECK(zero(&r) && r.out.enabled == (action == STOP_HOLD));
-            r.input.control.armed = 0; /* which holds on */
+            r.input.control.armed = 0; /* a hold continues without arming */
             CHECK(ticks(&r, 10)->enabled == (action == STOP_HOLD) && zero(&r));
             r.input.control.reset_count++;
             CHECK(tick(&r)->faults != 0);
@@ -174,7 +173,8 @@ static void a_stop_and_a_lost_command_rest_under_every_action(void)
             CHECK(ticks(&r, 1500)->faults == 0 && r.shown.armed == (action != STOP_COAST));
             CHECK(zero(&r) && r.shown.at_rest == 1);
             r.input.control.stop = 0;
-            r.mute = false; /* neither is latched, but a base that coasts is not armed any more */
+            r.mute = false; /* stop and lost command are not latched, but a base that coasted is
+                               disarmed */
             CHECK(ticks(&r, 1500)->setpoint_linear_m_s == (action == STOP_COAST ? 0.0 : 0.4));
         }
     }
@@ -287,7 +287,7 @@ static void hostile_input_never_moves_an_unarmed_base(void)
     }
 }
 
-/* The gyro reports a turn though the wheels do not: a person carries the base. */
+/* The gyro reports a turn while the wheels rest: a person carries the base. */
 static void a_gyro_turns_the_pose(void)
 {
     core_config config = good_config();

@@ -4,7 +4,8 @@
 
 static rig r;
 
-/* Slower, warmer and better controlled than any other; it takes a position, or not. */
+/* Adds a joint after the last one: slower, warmer and with a stronger loop than the others.
+ * `takes_position`: whether it takes positions. */
 static core_config with_one_behind(core_config config, uint32_t takes_position)
 {
     joint_config behind = rolling();
@@ -18,7 +19,7 @@ static core_config with_one_behind(core_config config, uint32_t takes_position)
     behind.plausible = (plausible_config){
         .slow_rad_s = 0.1, .stall_s = 1e-3, .runaway_s = 1e-3, .direction_s = 1e-3};
     behind.position = turning_within(2.0).position;
-    behind.position.reference = REFERENCE_HOMED; /* which it has not been */
+    behind.position.reference = REFERENCE_HOMED; /* it has never been homed */
     behind.position.following_rad = 1e-3, behind.position.following_s = 1e-3;
     behind.position.used = takes_position;
     config.joint[config.joint_count] = behind;
@@ -78,7 +79,8 @@ static void write_behind(uint32_t j)
     state->snapshot.speed_loop[j].output_u = 4.0;
 }
 
-/* One tick after that was written there: the entry after the last joint has not changed. */
+/* Writes numbers into the entry after the last joint, makes one tick, and checks that the entry has
+ * not changed. */
 static const robot_state *tick_beside(void)
 {
     uint32_t j = r.config.joint_count;
@@ -118,7 +120,7 @@ static void no_tick_reads_or_changes_entries_after_the_last_joint(void)
         }
         CHECK(r.shown.reasons == 0 && r.shown.saturation == 1.0 && r.shown.at_rest == 0);
         r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.0;
-        r.input.control.armed = 0; /* and at once */
+        r.input.control.armed = 0; /* the power goes off in this tick */
         CHECK(tick_beside()->faults == 0 && r.out.enabled == 0);
         CHECK(tick_beside()->at_rest == 1 && r.shown.reasons == REASON_NOT_ARMED);
     }

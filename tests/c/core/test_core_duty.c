@@ -1,7 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Speed loops of wheels whose drives take a duty, in the core: in place of the open-loop map, by
- * gains that change while the robot moves, and back to the map where the feedback cannot be
- * trusted. */
+ * Speed loops in the core for drives that take a duty: they replace the open-loop map, their gains
+ * change while the robot moves, and the map returns when the feedback cannot be trusted. */
 #include "core_rig.h"
 
 #include <string.h>
@@ -30,7 +29,7 @@ static core_config with_loops(speed_loop_gains gains)
 
 static const speed_loop_gains PI = {.gain_u_s_per_rad = 0.02, .integral_u_per_rad = 0.1};
 
-/* A tick in which each wheel turns by this part of its set-point. */
+/* Makes a tick in which each wheel turns by `part` of its set-point. */
 static const robot_state *turned(rig *r, double part)
 {
     prepare(r);
@@ -154,7 +153,7 @@ static void an_impossibly_fast_wheel_gets_no_duty_and_one_without_gains_is_not_c
     r.input.feedback[0].velocity_rad_s = -14.0;
     CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.enabled == 1 && r.out.joint[0].duty == 0.0);
     CHECK(r.out.joint[2].duty != 0.0);
-    CHECK(r.out.joint[1].duty == open_loop(&r, 1) && r.out.joint[1].duty != 0.0); /* the map's */
+    CHECK(r.out.joint[1].duty == open_loop(&r, 1) && r.out.joint[1].duty != 0.0); /* of the map */
     turned(&r, 1.0);
     CHECK(r.out.joint[0].duty == 0.0);
 }
@@ -171,11 +170,11 @@ static void a_duty_rises_by_its_slew_and_falls_at_once(void)
     start(&r, &config);
     go(&r, 0.4, 0.0);
     double before = r.out.joint[0].duty;
-    turned(&r, 0.5); /* needs 0.2 more */
+    turned(&r, 0.5); /* needs 0.2 more duty */
     CHECK(fabs(r.out.joint[0].duty - before - 0.002) < 1e-12);
     turned(&r, 1.5);
     CHECK(r.out.joint[0].duty < before - 0.1);
-    turned(&r, 3.2); /* backward: from the dead band's edge */
+    turned(&r, 3.2); /* reverses: begins at the edge of the dead band */
     CHECK(fabs(r.out.joint[0].duty + DEAD_BAND + 0.002) < 1e-12);
     start(&r, &config);
     go(&r, -0.4, 0.0);
@@ -210,7 +209,7 @@ static void gains_change_while_the_robot_moves_without_a_step_and_wrong_ones_cha
     CHECK(r.state.gains[0].gain_u_s_per_rad == 0.08 && fabs(r.out.joint[0].duty - before) < 1e-3);
     put_gains(&r, (speed_loop_gains){0});
     turned(&r, 0.8);
-    CHECK(fabs(r.out.joint[0].duty - before) < 2e-3); /* the integral goes, not at once */
+    CHECK(fabs(r.out.joint[0].duty - before) < 2e-3); /* the integral fades, not all at once */
     for (int i = 0; i < 6000; i++) {
         turned(&r, 0.8);
     }
@@ -266,7 +265,7 @@ static void only_changed_gains_keep_the_output_and_missing_joints_do_not_count(v
         CHECK(fabs(r.out.joint[j].duty - before[j]) < 1e-3);
     }
     put_gains(&r, PI);
-    r.input.control.gains[0].static_u = -1.0; /* the first of them, too */
+    r.input.control.gains[0].static_u = -1.0; /* the first set of gains is checked, too */
     turned(&r, 0.5);
     CHECK(r.state.gains[1].gain_u_s_per_rad == 0.09);
 }
@@ -302,7 +301,7 @@ static void gains_alone_move_nothing(void)
     CHECK(r.out.enabled == 1);
 }
 
-/* Whatever their number is. */
+/* The first gains count with any value of `gains_count`. */
 static void gains_set_before_the_first_tick_count(void)
 {
     static const uint32_t COUNTS[] = {1, 2, 7};
@@ -317,7 +316,7 @@ static void gains_set_before_the_first_tick_count(void)
     }
 }
 
-/* Also as what the core began with, and as the largest number. */
+/* The count may equal the initial one or be the largest number. */
 static void a_loop_keeps_running_whatever_the_count_of_its_gains(void)
 {
     static const uint32_t COUNTS[] = {UINT32_MAX, 5,         UINT32_MAX,     7,          0,

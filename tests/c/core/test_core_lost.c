@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_lost: numbers that the core has lost, wheels that it doubts, and what it does not
- * learn from motion. */
+ * test_core_lost: numbers of the core that are not finite any more, wheels with implausible
+ * feedback, and a gyro that learns its zero only at rest. */
 #include "steered_bases.h"
 
 static const double LOST[] = {NAN, INFINITY, -INFINITY};
 
-/* Any number of any joint, moving, at rest and without power. */
+/* Cases: each number of each joint, moving, at rest and without power. */
 static void a_set_point_that_is_not_finite_is_noticed_at_once(void)
 {
     core_config config = good_config();
@@ -22,7 +22,7 @@ static void a_set_point_that_is_not_finite_is_noticed_at_once(void)
                   : number == 1 ? &of->duty
                                 : &of->torque_n_m) = LOST[(j + number) % 3];
                 if (when == 2 && number == 1) {
-                    /* on a ramp the next duty takes the place of the lost one */
+                    /* on a ramp a new duty replaces the lost one */
                     r.input.command.linear_m_s = 0.3;
                 }
                 if (when == 2 && number == 0) {
@@ -36,7 +36,7 @@ static void a_set_point_that_is_not_finite_is_noticed_at_once(void)
     }
 }
 
-/* Any axis of it, while it ramps, brakes, and without power. */
+/* Cases: each axis of the twist, during a ramp, while braking, and without power. */
 static void a_twist_that_is_not_finite_is_noticed_at_once(void)
 {
     core_config bases[] = {good_config(), swerve()};
@@ -60,7 +60,8 @@ static void a_twist_that_is_not_finite_is_noticed_at_once(void)
     }
 }
 
-/* Any part: the others do not count either, and steered joints hold. */
+/* Cases: each part of the command. The other parts do not count either, and steered joints hold
+ * their position. */
 static void a_command_with_a_part_that_is_not_finite_moves_and_arms_nothing(void)
 {
     const core_config bases[] = {good_config(), swerve()};
@@ -76,7 +77,7 @@ static void a_command_with_a_part_that_is_not_finite_moves_and_arms_nothing(void
         CHECK(tick(&r)->reasons & REASON_COMMAND_NOT_FINITE);
         CHECK(r.shown.wanted_linear_m_s == 0.0 && r.shown.wanted_angular_rad_s == 0.0 &&
               r.shown.lateral.wanted_m_s == 0.0);
-        for (int ms = 0; ms < 1500; ms++) { /* never on, and never back */
+        for (int ms = 0; ms < 1500; ms++) { /* the base neither continues nor reverses */
             CHECK(r.shown.setpoint_linear_m_s >= 0.0 && r.shown.setpoint_linear_m_s <= before_m_s);
             before_m_s = r.shown.setpoint_linear_m_s;
             tick(&r);
@@ -101,7 +102,7 @@ static void one_joint_s_feedback_is_enough_to_measure(void)
         r.input.feedback[j].stamp_ns = r.input.now_ns + TICK_NS;
         r.input.feedback[j].current_a = 1.5;
         CHECK(tick(&r)->joint[j].current_a == 1.5);
-        r.input.feedback[j].current_a = 2.5; /* of a sample that has been taken */
+        r.input.feedback[j].current_a = 2.5; /* a change in a sample that has been taken */
         CHECK(tick(&r)->joint[j].current_a == 1.5);
     }
 }
@@ -128,7 +129,7 @@ static void a_tick_begins_with_numbers_of_its_own(void)
     }
 }
 
-/* The commanded twist is computed again, too. */
+/* The goal of the command is computed again, too. */
 static void after_lost_numbers_no_earlier_results_are_used(void)
 {
     core_config config = good_config();
@@ -142,7 +143,7 @@ static void after_lost_numbers_no_earlier_results_are_used(void)
     r.state.odometry.x_m = INFINITY;
     CHECK(tick(&r)->faults == FAULT_STATE && zero(&r) && r.shown.saturation == 1.0);
     CHECK(r.shown.odometry_epoch == 2 && r.shown.x_m == 0.0 && r.shown.armed == 0);
-    r.mute = true; /* the same command, when it comes again */
+    r.mute = true; /* the same command again later */
     r.input.control.armed = 0;
     ticks(&r, 400);
     r.input.control.reset_count++;
@@ -183,8 +184,7 @@ static const size_t ODOMETRY_NUMBERS[] = {
     offsetof(odometry_state, joint[3].position_rad),
 };
 
-/* In a tick in which one wheel sends something, and the others do not yet: nothing is measured
- * that would take its place. */
+/* In this tick only one wheel has a new sample, so no measurement replaces the lost number. */
 static void any_lost_number_of_the_odometry_is_noticed(void)
 {
     core_config config = good_config();
@@ -201,7 +201,7 @@ static void any_lost_number_of_the_odometry_is_noticed(void)
     rig r;
     start(&r, &config);
     ticks(&r, 5);
-    r.state.odometry.joint[4].position_rad = NAN; /* of no joint of it */
+    r.state.odometry.joint[4].position_rad = NAN; /* beyond the joints of the base */
     CHECK(tick(&r)->faults == 0);
 }
 
@@ -220,7 +220,8 @@ static core_config watched(void)
     return config;
 }
 
-/* Wheel j stands and ignores its set-points for this time, or until that is a fault; ms. */
+/* Wheel j stands still and ignores its set-points, for `most_ms` or until a fault. Returns the time
+ * in ms. */
 static int stuck_ms(rig *r, int j, int most_ms)
 {
     int ms = 0;
@@ -259,7 +260,7 @@ static void the_time_of_a_doubt_restarts_with_the_power(void)
     }
 }
 
-/* A person pushes it: that is no fault of its drives. */
+/* A person pushes the base: that is not a fault of its drives. */
 static void a_base_without_power_may_be_pushed(void)
 {
     core_config config = watched();
@@ -273,8 +274,8 @@ static void a_base_without_power_may_be_pushed(void)
     }
 }
 
-/* The power goes off in the tick in which a wheel runs away, and all that is reported of it
- * shows so. */
+/* In the tick in which a wheel runs away, the power goes off, and all reported set-points are
+ * zero. */
 static void a_runaway_ends_all_set_points_in_its_tick(void)
 {
     core_config config = watched();
@@ -297,7 +298,7 @@ static void a_runaway_ends_all_set_points_in_its_tick(void)
     }
 }
 
-/* Samples that come each millisecond are checked each five. */
+/* Samples come each millisecond, and every fifth is checked. */
 static void samples_in_quick_succession_are_checked_together(void)
 {
     core_config config = watched();
@@ -316,7 +317,7 @@ static void samples_in_quick_succession_are_checked_together(void)
     }
 }
 
-/* A person pushed the base meanwhile: the counters of its wheels have measured it, the gyro has
+/* A person pushed the base during the suspend: the counters of the wheels measured it, the gyro did
  * not. */
 static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
 {
@@ -328,7 +329,7 @@ static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
         for (int ms = 0; ms < 2200; ms++) {
             bool suspended = ms == 2100;
             if (suspended) {
-                r.input.now_ns += 60 * MS_NS; /* of which CLOCK_MONOTONIC counts so much */
+                r.input.now_ns += 60 * MS_NS; /* CLOCK_MONOTONIC counts only this part of it */
                 for (int j = 0; j < 4; j++) {
                     r.position_rad[j] += j % 2 == 0 ? -0.5 : 0.5;
                 }
@@ -336,7 +337,7 @@ static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
             if (!suspended || sampled == 0) {
                 r.input.imu = (imu_sample){.stamp_ns = r.input.now_ns + TICK_NS,
                                            .angular_rad_s = {0.0, 0.0, 0.01}};
-            } else if (sampled == 1) { /* by the loop: a sample that is from before */
+            } else if (sampled == 1) { /* the loop hands on a sample from before the suspend */
                 r.input.imu.stamp_ns = 0;
             }
             r.input.suspended = suspended;
@@ -344,7 +345,8 @@ static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
             CHECK(ms < 1800 || suspended || ms == 2101 || r.shown.imu.heading_by_gyro == 1);
         }
         CHECK(fabs(r.shown.heading_rad - 0.2) < 2e-3 && r.shown.odometry_degraded == 0);
-        CHECK(r.shown.imu.refused == (sampled == 1)); /* once, however often the loop hands it on */
+        CHECK(r.shown.imu.refused == (sampled == 1)); /* counted once, however often the loop hands
+                                                         it on */
         CHECK(r.shown.imu.state == GYRO_USED && r.shown.imu.still == 0);
     }
     rig r;
@@ -353,7 +355,8 @@ static void a_turn_during_a_suspend_is_that_of_the_wheels(void)
     CHECK(tick(&r)->imu.state == GYRO_NONE);
 }
 
-/* The zero of a gyro is its rate while the base stands: all wheels report, and none turns. */
+/* The zero of a gyro is its rate while the base stands still: all wheels report, and none of them
+ * turns. */
 static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
 {
     core_config config = good_config();
@@ -383,8 +386,8 @@ static void a_gyro_learns_its_zero_only_at_rest_and_from_the_first_tick_on(void)
     }
 }
 
-/* Three wheels are silent; the fourth alone does not determine the motion, and the base may have
- * followed its set-points. */
+/* Three wheels are silent, and the fourth one alone does not determine the motion. The base may
+ * have followed its set-points. */
 static void a_base_whose_motion_is_no_longer_measured_grows_uncertain_until_it_rests(void)
 {
     core_config config = good_config();

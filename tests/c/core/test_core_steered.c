@@ -2,7 +2,7 @@
  * test_core_steered: ticks of bases whose wheels are steered. */
 #include "steered_bases.h"
 
-/* of the bicycle's wheel at 0.8 / m: atan(0.3 * 0.8) */
+/* angle of the bicycle's wheel at a curvature of 0.8 / m: atan(0.3 * 0.8) */
 static const double ANGLE_RAD = 0.23554498072086333;
 
 static bool all_rest(const rig *r)
@@ -61,7 +61,7 @@ static void each_wheel_of_a_swerve_base_rolls_at_the_speed_of_the_floor_under_it
                angle_rad = r.out.position_rad[2 * k];
         CHECK(fabs(sin(angle_rad - atan2(y_m_s, x_m_s))) < 1e-9 && fabs(angle_rad) < 1.6);
         double rolls_rad_s = (x_m_s * cos(angle_rad) + y_m_s * sin(angle_rad)) / RADIUS_M;
-        /* by the angle that is measured */
+        /* for the measured angle */
         CHECK(fabs(r.out.joint[2 * k + 1].velocity_rad_s - rolls_rad_s) < 1e-3);
         CHECK(r.out.joint[2 * k].duty == 0.0 &&
               fabs(r.out.joint[2 * k + 1].duty - rolls_rad_s / 60.0) < 1e-4);
@@ -83,7 +83,7 @@ static void a_base_that_begins_to_roll_is_not_at_rest(void)
     }
 }
 
-/* A late tick while it brakes, and the ticks that commands bring between. */
+/* Late ticks while the joint brakes, and extra ticks, which commands cause. */
 static void a_steering_joint_stays_within_its_range_with_late_and_extra_ticks(void)
 {
     static const int64_t LATE_NS[] = {2000000, 10000000, 30000000, 90000000};
@@ -110,12 +110,13 @@ static void a_steering_joint_stays_within_its_range_with_late_and_extra_ticks(vo
     }
 }
 
-/* Of any joint; the reason ends with it. */
+/* Cases: each joint. The report ends with the cause. */
 static void a_duty_at_its_limit_is_reported(void)
 {
     for (int j = 0; j < 4; j++) {
         core_config config = j < 2 ? ackermann(WHEELBASE_M) : head_and_belt();
-        config.joint[0] = j < 2 ? config.joint[0] : config.joint[1]; /* two belts */
+        config.joint[0] = j < 2 ? config.joint[0] : config.joint[1]; /* the first joint becomes a
+                                                                        belt, too */
         config.joint[j % 2].pwm.duty_max = 0.1;
         rig r;
         ready(&r, &config);
@@ -137,7 +138,7 @@ static void a_steered_base_waits_for_a_slow_duty_and_names_its_joint(void)
     core_config config = bicycle();
     config.limits.linear = (axis_limits){1.0, 100.0, 100.0, INFINITY};
     config.joint[0].row = (wheel_row){.x = 1.0};
-    config.joint[0].pwm.slew_per_s = 1.0 / 60.0; /* 1 rad/s a second */
+    config.joint[0].pwm.slew_per_s = 1.0 / 60.0; /* 1 rad/s of the wheel in a second */
     rig r;
     ready(&r, &config);
     r.input.control.armed = 1;
@@ -149,7 +150,7 @@ static void a_steered_base_waits_for_a_slow_duty_and_names_its_joint(void)
     CHECK(fabs(r.shown.joint[0].setpoint_rad_s - 1.0) < 0.01);
 }
 
-/* Of any wheel, before it takes its next one. */
+/* Cases: each wheel. The check comes before the next duty is computed. */
 static void a_duty_that_is_not_finite_is_noticed_at_once(void)
 {
     core_config config = swerve_of_four();
@@ -183,15 +184,15 @@ static void at_rest_the_wheel_points_first(void)
         CHECK(r.shown.setpoint_linear_m_s == 0.0 || off_rad < 0.26);
         tick(&r);
         moved |= r.shown.setpoint_linear_m_s != 0.0;
-        if (!moved) { /* it turns: the base is not at rest */
+        if (!moved) { /* the wheel turns, so the base is not at rest */
             CHECK((r.shown.reasons & REASON_STEERING) && r.shown.at_rest == 0);
         }
     }
     CHECK(moved);
 }
 
-/* A curve that begins while it drives is as slow as the wheel that has to follow it, and every
- * reason is reported. */
+/* A curve that begins during motion ramps as slowly as the wheel turns, and every reason is
+ * reported. */
 static void a_curve_waits_for_its_wheel_and_the_base_does_not_slow_down(void)
 {
     core_config config = bicycle();
@@ -199,7 +200,7 @@ static void a_curve_waits_for_its_wheel_and_the_base_does_not_slow_down(void)
     rig r;
     start(&r, &config);
     go(&r, 0.5, 0.0);
-    r.input.command.angular_rad_s = 2.0; /* tighter than it can */
+    r.input.command.angular_rad_s = 2.0; /* a tighter curve than the wheel can steer */
     uint32_t reasons = 0;
     for (int ms = 0; ms < 1500; ms++) {
         reasons |= tick(&r)->reasons;
@@ -230,7 +231,7 @@ static void every_stop_of_a_steered_base_ends_at_rest(void)
         ticks(&r, 2500);
         CHECK(all_rest(&r) && r.out.enabled == (ACTIONS[i] == STOP_HOLD ? 1 : 0));
         CHECK(r.out.positioned == (ACTIONS[i] == STOP_HOLD ? 2 : 0));
-        if (ACTIONS[i] != STOP_HOLD) { /* without power it is where it is */
+        if (ACTIONS[i] != STOP_HOLD) { /* without power the target is the position of the joint */
             CHECK(r.out.position_rad[1] == 0.0 && isnan(r.shown.steering.setpoint_rad[1]));
             CHECK(r.state.steer.enabled == 0 &&
                   r.state.steer.profile[1].position_rad == r.state.odometry.angle_rad[1]);
@@ -269,7 +270,7 @@ static void a_brake_holds_the_wheels_where_they_point(void)
           close_to(r.out.position_rad[1], ANGLE_RAD));
 }
 
-/* A late tick is a step of a tenth of a second at most. */
+/* A late tick counts as a step of 0.1 s at most. */
 static void a_late_tick_turns_a_wheel_by_no_more_than_its_speed(void)
 {
     static const double LATE_S[] = {0.1, 0.2, 5.0};
@@ -293,7 +294,8 @@ static void a_late_tick_turns_a_wheel_by_no_more_than_its_speed(void)
         straight.input.command.linear_m_s = 0.5;
         prepare(&straight);
         core_step(&straight.state, &straight.input, LATE_S[i], &straight.out, &straight.shown);
-        CHECK(close_to(straight.shown.setpoint_linear_m_s, 0.08)); /* its jerk: 8 m/s3 for 0.1 s */
+        CHECK(close_to(straight.shown.setpoint_linear_m_s, 0.08)); /* limited by the jerk: 8 m/s3
+                                                                      for 0.1 s */
     }
 }
 
@@ -362,8 +364,8 @@ static void a_steering_joint_that_loses_its_position_ends_at_rest_and_is_not_arm
     }
 }
 
-/* Its set-point is where it is, so long as its longest move takes it; the odometry has nothing
- * else. */
+/* The joint counts as at its set-point after the time of its longest move. The odometry takes the
+ * set-point as its angle. */
 static void a_steering_joint_without_measurement_counts_as_at_its_set_point(void)
 {
     core_config config = bicycle();

@@ -3,8 +3,8 @@
 #include "core_rig.h"
 #include "torque_loop.h"
 
-/* `config` changed by what comes, at speed; milliseconds until the power is off, 0: never within
- * five seconds. */
+/* Drives at speed with `config`, then changes the input by `of`. Returns for how many milliseconds
+ * set-points are zero before the power goes off; 0: it stays on for five seconds. */
 static int power_off_after_ms(const core_config *config, const change *of, bool wheels_stop)
 {
     rig r;
@@ -44,7 +44,7 @@ static void the_power_goes_off_at_rest_or_when_the_set_points_have_been_zero_for
         int soon_ms = power_off_after_ms(&config, &ESTOP, true);
         CHECK(zero_first ? soon_ms >= 0 && soon_ms <= 2 : soon_ms == 0);
     }
-    /* a clock that runs backwards ends the hold, too */
+    /* a clock that steps back ends the hold, too */
     config.on_fault = STOP_BRAKE;
     rig r;
     start(&r, &config);
@@ -93,8 +93,8 @@ static void a_requested_disarm_ends_a_hold_by_removing_power(void)
 {
     static const uint32_t FAULTS[] = {FAULT_EXTERNAL, FAULT_ESTOP, FAULT_STALL};
     for (int i = 0; i < COUNT_OF(FAULTS) * 2; i++) {
-        bool before = i % 2 == 0; /* requested before the fault, which it does not keep from holding
-                                     until rest */
+        bool before = i % 2 == 0; /* the disarm is requested before the fault; the base still holds
+                                     until it rests */
         rig r;
         core_config config = good_config();
         config.on_fault = config.on_estop = STOP_HOLD;
@@ -110,7 +110,7 @@ static void a_requested_disarm_ends_a_hold_by_removing_power(void)
         bool trusted = FAULTS[i / 2] != FAULT_STALL;
         CHECK(ticks(&r, 100)->enabled == 1 && !zero(&r));
         CHECK(ticks(&r, 400)->enabled == !trusted && zero(&r));
-        /* unseen rest: after two seconds */
+        /* rest is not seen: the power goes off after two seconds */
         CHECK(ticks(&r, 2000)->enabled == 0 && r.shown.faults != 0);
         r.input.control.release = 0;
         CHECK(ticks(&r, 10)->enabled == 0);
@@ -131,7 +131,7 @@ static void a_stop_or_a_lost_command_coasts_only_where_configured_and_after_a_co
         CHECK(ticks(&r, 400)->armed == 1 && r.shown.reasons == REASON_COMMAND_STALE);
         r.mute = false;
         r.input.command.linear_m_s = 0.4;
-        CHECK(tick(&r)->setpoint_linear_m_s > 0.0); /* in the tick in which it comes */
+        CHECK(tick(&r)->setpoint_linear_m_s > 0.0); /* in the tick in which the command arrives */
         CHECK(ticks(&r, 1500)->armed == 1 && fabs(r.shown.setpoint_linear_m_s - 0.4) < 1e-12);
         r.input.control.stop = 1;
         tick(&r);
@@ -173,7 +173,7 @@ static void at_rest_is_slower_than_the_configured_speed_with_set_points_of_zero(
         }
         CHECK(step(&r)->at_rest == 0);
     }
-    r.input.now_ns += 2 * TICK_NS; /* a wheel that sends no feedback any more reports nothing */
+    r.input.now_ns += 2 * TICK_NS; /* a wheel that sends no feedback any more does not count */
     for (int j = 0; j < 3; j++) {
         r.input.feedback[j].stamp_ns = r.input.now_ns;
     }
@@ -196,7 +196,7 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
         start(&r, &config);
         go(&r, 0.2, 0.0);
         prepare(&r);
-        r.input.feedback[0].velocity_rad_s = sign * 12.0; /* one and a half times its limit */
+        r.input.feedback[0].velocity_rad_s = sign * 12.0; /* one and a half times the limit */
         CHECK(step(&r)->faults == 0 && r.out.joint[0].torque_n_m == -sign * 8.0 &&
               r.out.joint[1].torque_n_m == 0.0);
         prepare(&r);
@@ -207,7 +207,7 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
         CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.joint[0].torque_n_m == 0.0 &&
               r.out.enabled == 1);
         CHECK(r.state.speed_loop[0].integral_u == 0.0 && r.out.joint[2].torque_n_m != 0.0);
-        prepare(&r); /* latched: it is slower again, and gets no torque */
+        prepare(&r); /* the fault is latched: the wheel is slower again, and gets no torque */
         r.input.feedback[0].velocity_rad_s = -sign;
         CHECK(step(&r)->faults == FAULT_OVERSPEED && r.out.joint[0].torque_n_m == 0.0);
         r.input.command.linear_m_s = 0.0;
@@ -226,7 +226,7 @@ static void a_torque_ends_with_its_power_its_feedback_or_its_runaway(void)
     CHECK(r.state.speed_loop[2].integral_u == 0.0 && r.out.joint[0].velocity_rad_s > 1.0);
 }
 
-/* A single long time step is no reason to stand still at once. */
+/* A single long time step does not make the base stop at once. */
 static void a_late_tick_in_a_stop_ramps_by_the_elapsed_time(void)
 {
     static const double STEPS_S[] = {0.1, 1.0, 0.0, -0.1};

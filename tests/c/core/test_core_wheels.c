@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_wheels: from a twist to what leaves for the drives, in the ticks in which something
+ * test_core_wheels: from a twist to the set-points of the drives, in ticks in which something
  * changes. */
 #include "steered_bases.h"
 #include "torque_loop.h"
@@ -19,13 +19,13 @@ static void a_base_that_turned_on_the_spot_stands_still_afterwards(void)
     CHECK(ticks(&r, 1500)->armed == 1 && zero(&r) && r.shown.at_rest == 1);
 }
 
-/* If an arrived ramp kept its acceleration, the next one would begin with it despite the jerk
+/* If the ramp kept its acceleration at the end, the next ramp would begin with it despite the jerk
  * limit. */
 static void a_ramp_that_has_arrived_leaves_no_acceleration(void)
 {
-    static const double ACCELERATIONS_M_S2[] = {1.0, 0.1, 1.5}; /* and rad/s2 */
-    const double dt_s = 1.0 / 1024.0; /* exact, so that the step arrives with exactly this
-                                         acceleration */
+    static const double ACCELERATIONS_M_S2[] = {1.0, 0.1, 1.5}; /* also in rad/s2 */
+    const double dt_s = 1.0 / 1024.0; /* an exact binary number, so that the step arrives with
+                                         exactly this acceleration */
     core_config config = good_config();
     config.limits.linear = config.limits.angular = (axis_limits){1.0, 2.0, 2.0, INFINITY};
     for (int i = 0; i < COUNT_OF(ACCELERATIONS_M_S2); i++) {
@@ -49,7 +49,7 @@ static void a_ramp_that_has_arrived_leaves_no_acceleration(void)
     }
 }
 
-/* A late tick continues a ramp by a tenth of a second at most. */
+/* A late tick continues the ramp by 0.1 s at most. */
 static void a_late_tick_of_a_stop_is_a_step_of_the_ramp(void)
 {
     static const double LATE_S[] = {0.1, 0.2, 1.0};
@@ -66,14 +66,14 @@ static void a_late_tick_of_a_stop_is_a_step_of_the_ramp(void)
     }
 }
 
-/* One wheel's duty may only grow slowly: the whole base waits for it. */
+/* The duty of one wheel may only grow slowly. The whole base waits for it. */
 static void the_slew_of_any_single_duty_slows_the_base(void)
 {
     for (int slow = 0; slow < 4; slow++) {
         core_config config = good_config();
         config.limits.linear = (axis_limits){1.0, 100.0, 100.0, INFINITY};
         for (int j = 0; j < 4; j++) {
-            /* 1 rad/s a second */
+            /* 1 rad/s of the wheel in a second */
             config.joint[j].pwm.slew_per_s = j == slow ? 0.95 / 12.5 : INFINITY;
         }
         rig r;
@@ -91,7 +91,8 @@ static void the_slew_of_any_single_duty_slows_the_base(void)
     }
 }
 
-/* Before it turns around, it is eased for the wheel that may only grow slowly afterwards. */
+/* Before the base reverses, it slows down for the wheel whose duty may only grow slowly
+ * afterwards. */
 static void in_a_reversal_the_wheel_that_has_to_be_eased_is_named(void)
 {
     core_config config = good_config();
@@ -107,7 +108,8 @@ static void in_a_reversal_the_wheel_that_has_to_be_eased_is_named(void)
     CHECK(r.shown.setpoint_linear_m_s <= 0.0 && r.shown.reason.duty_slew == 1U << 1);
 }
 
-/* The twist has arrived, or still ramps, and one duty lags: it grows by its slew, and is named. */
+/* The twist is constant or ramps down, and one duty is too small: it grows by its slew, and the
+ * wheel is named. */
 static void a_duty_behind_its_goal_grows_by_its_slew_and_is_named(void)
 {
     core_config bases[] = {good_config(), swerve_of_four()};
@@ -124,7 +126,7 @@ static void a_duty_behind_its_goal_grows_by_its_slew_and_is_named(void)
         CHECK(duty > 0.09 && r.shown.reasons == 0);
         r.state.wheels.joint[late].duty = 0.05;
         r.state.wheels.known = 0;
-        /* down: no slew holds the ramp back */
+        /* the speed falls, so the slew does not slow the ramp */
         r.input.command.linear_m_s = i % 2 == 0 ? 0.3 : 0.25;
         for (int ms = 1; ms <= 20; ms++) {
             CHECK(fabs(tick(&r)->joint[late].duty - (0.05 + ms * 1e-3)) < 1e-9);
@@ -135,7 +137,7 @@ static void a_duty_behind_its_goal_grows_by_its_slew_and_is_named(void)
     }
 }
 
-/* In the ticks in which nothing changes. */
+/* Ticks without a change use the last results. */
 static void the_wheel_set_points_of_a_twist_are_computed_once(void)
 {
     core_config config = good_config();
@@ -144,7 +146,7 @@ static void the_wheel_set_points_of_a_twist_are_computed_once(void)
     go(&r, 0.3, 0.0);
     double duty = r.out.joint[2].duty;
     r.state.wheels.joint[2].duty = 0.125;
-    r.state.axis[AXIS_LATERAL].acceleration_u_s2 = NAN; /* of an axis that the base does not have */
+    r.state.axis[AXIS_LATERAL].acceleration_u_s2 = NAN; /* an axis that the base does not have */
     CHECK(ticks(&r, 3)->armed == 1 && r.out.joint[2].duty == 0.125);
     r.input.command.linear_m_s = 0.2;
     ticks(&r, 500);
@@ -167,7 +169,8 @@ static void each_wheel_whose_duty_is_clamped_is_named(void)
     }
 }
 
-/* One forwards, another one backwards: what was named before is not. */
+/* Going forward the duty of one wheel is clamped, going backward that of another. Only the present
+ * one is named. */
 static void a_wheel_is_named_only_while_its_own_duty_is_clamped(void)
 {
     core_config config = good_config();
@@ -206,7 +209,7 @@ static void set_points_carry_their_time_and_their_number_of_joints(void)
     }
 }
 
-/* What was in its memory before, and limits that may not be used, do not matter. */
+/* Neither old bytes in the core's memory nor invalid limits matter. */
 static void a_core_begins_with_its_own_limits_in_uninitialised_memory(void)
 {
     core_config config = good_config();
@@ -222,7 +225,7 @@ static void a_core_begins_with_its_own_limits_in_uninitialised_memory(void)
           dirty.shown.joint[5].stale == 0);
 }
 
-/* The last place of each table is a joint like any other, and nothing follows it. */
+/* The last entry of each table is used, and nothing beyond it. */
 static void a_base_of_as_many_wheels_as_there_can_be(void)
 {
     core_config config = good_config();
@@ -254,7 +257,8 @@ static void a_base_of_as_many_wheels_as_there_can_be(void)
     CHECK(tick(&r)->joint[JOINTS_MAX - 1].stale == 1);
 }
 
-/* A speed loop gives its torque with any gain and in any place; a base without one gives none. */
+/* A speed loop of any wheel gives its torque, also with a small gain. Without a loop there is no
+ * torque. */
 static void each_wheel_with_a_speed_loop_gets_its_torque(void)
 {
     for (int own = -1; own < 4; own++) {
@@ -300,7 +304,7 @@ static void a_wheel_runs_away_beyond_its_larger_limit_of_either_direction(void)
     }
 }
 
-/* In a curve each side has its own speed, and the slowest joint sets the pace. */
+/* In a curve each side has its own speed, and the slowest joint limits the base. */
 static void a_twist_gives_each_wheel_its_speed_and_any_wheel_may_be_at_its_limit(void)
 {
     core_config config = good_config();

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Derating by temperature, current and voltage: factor, smoothing, what the base does, and what the
- * page shows; since when each reason holds. */
+ * Derating by temperature, current and voltage: its factor, its smoothing, its effect on the base,
+ * and its report on the state page with the time since which it holds. */
 #include "core_rig.h"
 
 static const derating_config HOT = {.range = {{60.0, 80.0}, {0.0, 0.0}, {0.0, 0.0}}};
@@ -45,7 +45,7 @@ static void the_factor_falls_from_one_to_zero_and_names_its_cause(void)
               by == cases[i].by);
     }
     CHECK(derating_used(&all) && derating_used(&HOT) && !derating_used(&(derating_config){0}));
-    derating_state state = {0}; /* what is not in use does not derate */
+    derating_state state = {0}; /* measures without a range do not derate */
     uint32_t by = 9;
     joint_feedback feedback = sample_of(1.0, 65.0, 1000.0, -5.0);
     CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.75) &&
@@ -64,17 +64,17 @@ static void a_measure_is_smoothed_and_nan_changes_nothing(void)
     CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.9)); /* the same sample again */
     feedback = sample_of(1.5, (double)NAN, 0.0, 0.0);
     CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.9));
-    feedback = sample_of(1.0, 60.0, 0.0, 0.0); /* an older one */
+    feedback = sample_of(1.0, 60.0, 0.0, 0.0); /* an older sample */
     CHECK(near(derating_factor(&state, &HOT, &feedback, &by), 0.9));
     const derating_config sagging = {.range = {{0.0, 0.0}, {0.0, 0.0}, {22.0, 20.0}}};
     derating_state never = {0};
-    feedback = sample_of(0.0, 0.0, 0.0, 0.0); /* of a drive that has sent nothing: its 0 V are no
-                                                 measure */
+    feedback = sample_of(0.0, 0.0, 0.0, 0.0); /* from a drive that has sent nothing: 0 V is not
+                                                 measured */
     CHECK(derating_factor(&never, &sagging, &feedback, &by) == 1.0);
     derating_state late = {0};
     feedback = sample_of(1.0, (double)NAN, 0.0, 0.0);
     CHECK(derating_factor(&late, &HOT, &feedback, &by) == 1.0);
-    feedback = sample_of(1.1, 70.0, 0.0, 0.0); /* its first */
+    feedback = sample_of(1.1, 70.0, 0.0, 0.0); /* the first valid measure */
     CHECK(near(derating_factor(&late, &HOT, &feedback, &by), 0.5));
 }
 
@@ -103,7 +103,7 @@ static void the_whole_twist_is_scaled_by_the_worst_joint_and_slows_down_by_its_d
     for (int i = 0; i < 12000; i++) {
         tick(&r);
         CHECK(last_m_s - r.shown.setpoint_linear_m_s <= 1.5e-3 + 1e-9);
-        /* the curve is the same */
+        /* the curvature is the same */
         CHECK(near(r.shown.setpoint_angular_rad_s, 2.0 * r.shown.setpoint_linear_m_s));
         last_m_s = r.shown.setpoint_linear_m_s;
     }
@@ -116,12 +116,12 @@ static void the_whole_twist_is_scaled_by_the_worst_joint_and_slows_down_by_its_d
           fabs(r.shown.setpoint_linear_m_s - factor * 1.0) < 1e-3);
     CHECK(r.shown.reason.since_ns[25] > before_ns &&
           r.shown.reason.since_ns[25] < r.shown.stamp_ns);
-    r.input.command.linear_m_s = 0.2; /* below the derated limit: as it was commanded */
+    r.input.command.linear_m_s = 0.2; /* below the derated limit: as commanded */
     r.input.command.angular_rad_s = 0.0;
     ticks(&r, 1000);
     CHECK(near(r.shown.setpoint_linear_m_s, 0.2) && !(r.shown.reasons & REASON_DERATED) &&
           r.shown.reason.since_ns[25] == 0);
-    warm(&r, 1, 90.0); /* another joint: since now, and to nothing */
+    warm(&r, 1, 90.0); /* another joint derates from now on, down to 0 */
     r.input.command.linear_m_s = -0.8;
     ticks(&r, 9000);
     CHECK(r.shown.derating.joint == 1 && r.shown.derating.factor == 0.0 &&
@@ -149,7 +149,8 @@ a_joint_without_a_range_derates_nothing_and_one_that_sends_nothing_keeps_its_fac
     CHECK(r.state.derates == 0 && r.shown.derating.since_ns == 0);
 }
 
-/* Warm from the first sample, so that nothing is smoothed; the twist is zero. */
+/* The joints are warm from the first sample on, so that smoothing changes nothing. The twist is
+ * zero. */
 static void begin_warm(rig *r, const core_config *config, double first_c, double second_c)
 {
     start(r, config);
@@ -175,10 +176,10 @@ static void the_joint_that_derates_most_is_named_with_its_time_and_the_first_amo
         begin_warm(&r, &config, CASES[i].first_c, CASES[i].second_c);
         CHECK(near(r.shown.derating.factor, CASES[i].factor) &&
               r.shown.derating.joint == CASES[i].joint);
-        /* of the first tick, not of this one */
+        /* since the first tick, not this one */
         CHECK(r.shown.derating.since_ns == r.input.now_ns - 2 * TICK_NS);
     }
-    config.joint[1].derating = (derating_config){0}; /* the first alone may derate */
+    config.joint[1].derating = (derating_config){0}; /* only the first joint may derate */
     begin_warm(&r, &config, 72.0, 90.0);
     CHECK(near(r.shown.derating.factor, 0.4) && r.shown.derating.joint == 0);
 }
@@ -191,7 +192,8 @@ static void derating_by_another_joint_or_measure_has_a_new_start_time(void)
     rig r;
     begin_warm(&r, &config, 70.0, 20.0);
     CHECK(r.shown.derating.by == DERATED_BY_TEMPERATURE && r.shown.derating.joint == 0);
-    r.input.feedback[0].current_a = 1e6; /* so much that it counts at once, however smoothed */
+    r.input.feedback[0].current_a = 1e6; /* so high that it counts in one tick despite the
+                                            smoothing */
     tick(&r);
     CHECK(r.shown.derating.by == DERATED_BY_CURRENT && r.shown.derating.joint == 0);
     CHECK(r.shown.derating.since_ns == r.input.now_ns && r.shown.derating.factor == 0.0);
@@ -202,7 +204,7 @@ static void derating_by_another_joint_or_measure_has_a_new_start_time(void)
     CHECK(r.shown.derating.since_ns == r.input.now_ns && r.shown.derating.factor == 0.0);
 }
 
-/* Its fault is that it sends nothing. */
+/* The fault of the joint is its old feedback. */
 static void old_feedback_of_a_joint_derates_nothing(void)
 {
     core_config config = good_config();

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_goal: the twist that a base ramps to: what was commanded, within the limits of the base
- * and its wheels, and why. */
+ * test_goal: the twist to which a base ramps: the command within the limits of the base and its
+ * wheels, and the reasons. */
 #include "steered_bases.h"
 
 static rig r;
@@ -14,7 +14,7 @@ static void limit(core_config *config)
     config->limits.lateral.velocity_u_s = LATERAL_MAX_M_S;
 }
 
-/* Its rollers are under 45 degrees, and its wheels are faster than all limits. */
+/* A base with rollers at 45 degrees, whose wheels are faster than all limits. */
 static core_config strafing(void)
 {
     core_config config = good_config();
@@ -26,7 +26,7 @@ static core_config strafing(void)
     return config;
 }
 
-/* Of a base that has been armed in the tick before. */
+/* Returns the goal of a base that was armed in the tick before. */
 static const core_goal *goal_of(const core_config *config, double linear_m_s, double angular_rad_s,
                                 double lateral_m_s)
 {
@@ -78,7 +78,8 @@ the_direction_stays_where_a_base_that_strafes_is_limited_and_its_turn_is_limited
         {{-1.0, 0.0, 0.1}, {-0.5, 0.0, 0.05}, LINEAR},
         {{0.1, 0.0, 1.0}, {0.025, 0.0, 0.25}, LATERAL},
         {{0.4, 0.0, -1.0}, {0.1, 0.0, -0.25}, LATERAL},
-        {{2.0, 0.0, 1.0}, {0.5, 0.0, 0.25}, LINEAR | LATERAL}, /* both by the same part */
+        {{2.0, 0.0, 1.0}, {0.5, 0.0, 0.25}, LINEAR | LATERAL}, /* both are reduced by the same
+                                                                  factor */
         {{1.0, 0.0, 2.0}, {0.125, 0.0, 0.25}, LINEAR | LATERAL},
         {{4.0, 0.0, 0.5}, {0.5, 0.0, 0.0625}, LINEAR | LATERAL},
         {{4.0, -2.0, 0.5}, {0.5, -0.8, 0.0625}, LINEAR | ANGULAR | LATERAL},
@@ -117,7 +118,7 @@ static void a_base_that_does_not_strafe_drives_on_without_the_lateral_speed(void
                                     REASON_LATERAL_IMPOSSIBLE | REASON_CURVATURE});
 }
 
-/* Half of each limit is left. */
+/* A warm joint halves each limit. */
 static void arm_warm(core_config *config)
 {
     config->joint[2].derating.range[DERATED_BY_TEMPERATURE] = (derating_range){60.0, 80.0};
@@ -154,7 +155,7 @@ static void a_derated_base_keeps_its_direction_as_far_as_each_axis_allows(void)
     }
 }
 
-/* One wheel has half of the speed that it would need, and the twist as a whole gets as much. */
+/* One wheel has half of the speed that it would need, so the whole twist is halved. */
 static void the_wheel_slowest_for_its_share_is_named_and_the_first_among_equals(void)
 {
     for (uint32_t slow = 0; slow < 4; slow++) {
@@ -169,7 +170,7 @@ static void the_wheel_slowest_for_its_share_is_named_and_the_first_among_equals(
         }
     }
     core_config config = good_config();
-    /* on the outer side of the curve */
+    /* wheels on the outer side of the curve */
     config.joint[1].velocity_max_rad_s = config.joint[3].velocity_max_rad_s = 2.5;
     const core_goal *goal = goal_of(&config, 0.4, 0.4, 0.0);
     CHECK(close_to(goal->saturation, 0.5) && close_to(goal->goal_u_s[0], 0.2) &&
@@ -208,7 +209,7 @@ static void every_reason_of_a_goal_is_reported(void)
     CHECK(r.state.goal.reasons == 0 && r.state.goal.saturation == 1.0);
 }
 
-/* Commands are rarer than ticks. */
+/* Ticks without a new command use the goal again. */
 static void a_goal_is_computed_once_for_a_command(void)
 {
     core_config config = strafing();

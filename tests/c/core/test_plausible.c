@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_plausible: each check of the feedback by itself, at its edges. */
+ * test_plausible: each check of the feedback alone, at its bounds. */
 #include <math.h>
 
 #include "check.h"
@@ -30,7 +30,7 @@ typedef struct {
     feedback_doubt why;
 } wheel;
 
-/* As the core does. */
+/* Checks a wheel like the core does. */
 static bool taken(wheel *w, double reported_rad_s, double setpoint_rad_s)
 {
     return !plausible_due(&w->state, &w->joint) ||
@@ -44,7 +44,7 @@ static wheel begun(double speed_rad_s)
     return w;
 }
 
-/* Seconds until a fault; INFINITY: none within them. */
+/* Returns the seconds until a fault; INFINITY: no fault within `seconds`. */
 static double until_fault(wheel *w, double seconds, double turns_rad_s, double reported_rad_s,
                           double setpoint_rad_s)
 {
@@ -108,7 +108,8 @@ static void a_deviation_within_its_tolerance_is_no_fault(void)
     w = begun(10.99);
     CHECK(isinf(until_fault(&w, 3.0, 10.99, 10.99, 5.0)));
     w = begun(5.0);
-    CHECK(isinf(until_fault(&w, 3.0, 5.0, 12.9, 5.0))); /* 7.9 apart: 1.5 and half of 12.9 */
+    CHECK(isinf(until_fault(&w, 3.0, 5.0, 12.9, 5.0))); /* a difference of 7.9; allowed are 1.5 and
+                                                           half of 12.9 */
     w = begun(5.0);
     CHECK(until_fault(&w, 3.0, 5.0, 13.1, 5.0) < 3.0);
 }
@@ -126,7 +127,8 @@ static void a_time_of_zero_switches_a_check_off(void)
     CHECK(isinf(until_fault(&w, 0.1, 25.0, 25.0, 25.0)));
 }
 
-/* In either direction: a speed too high for a set-point of zero is a runaway, or no fault. */
+/* Cases: both directions. With a set-point of zero, a speed that is too high is a runaway or no
+ * fault. */
 static void no_wheel_is_too_slow_for_a_set_point_of_zero(void)
 {
     for (int sign = -1; sign <= 1; sign += 2) {
@@ -158,7 +160,7 @@ a_wheel_that_approaches_its_set_point_is_slow_and_one_that_stops_approaching_is_
     for (speed_rad_s = 15.0; speed_rad_s > 0.0; speed_rad_s -= 0.01) {
         CHECK(isinf(until_fault(&w, STEP_S, speed_rad_s, speed_rad_s, 0.0)));
     }
-    /* what was reached the last time is no mark for this time */
+    /* the nearest speed of the last approach does not count for this one */
     for (; speed_rad_s < 5.0; speed_rad_s += 0.01) {
         CHECK(isinf(until_fault(&w, STEP_S, speed_rad_s, speed_rad_s, 15.0)));
     }
@@ -213,7 +215,7 @@ static void a_repeated_sample_and_a_late_velocity_are_ignored(void)
     CHECK(near(w.state.reported_rad_s, 5.0));
 }
 
-/* A wheel whose smoothed measures are exactly these, and stay so with the next sample. */
+/* A wheel whose smoothed measures have exactly these values, also after the next sample. */
 static wheel steady(double measured_rad_s, double reported_rad_s)
 {
     wheel w = begun(0.0);
@@ -258,7 +260,7 @@ static void each_tolerance_ends_at_its_bound(void)
         {-7.0, -7.0, 0, 0.05, FOLLOWING | RUNAWAY},
         {7.0, 7.0, 0, -0.05, FOLLOWING | RUNAWAY},
         {0.0, 0.0, 6.29, 0.0, 0},
-        {0.0, 0.0, 6.31, 0.0, IMPLAUSIBLE}, /* less a twenty-first by the next sample */
+        {0.0, 0.0, 6.31, 0.0, IMPLAUSIBLE}, /* the next sample reduces it by one twenty-first */
         {4.0, 4.0, 8.39, 4.0, 0},
         {4.0, 4.0, 8.41, 4.0, IMPLAUSIBLE},
     };
@@ -272,7 +274,7 @@ static void each_tolerance_ends_at_its_bound(void)
     wheel first = steady(0.0, 0.0), second = first;
     first.state.rough_rad_s = second.state.rough_rad_s = 6.3;
     CHECK(plausible(&first.state, &first.config, &first.joint, 0.0, 0.0, &first.why));
-    second.config.beyond_rad_s = first.state.rough_rad_s; /* exactly as much as there may be */
+    second.config.beyond_rad_s = first.state.rough_rad_s; /* exactly the largest that is allowed */
     CHECK(plausible(&second.state, &second.config, &second.joint, 0.0, 0.0, &second.why) &&
           second.state.suspicious == 0);
 }
@@ -328,7 +330,7 @@ static void a_check_is_due_at_its_time_and_the_first_of_several_is_named(void)
     w.joint.stamp_ns += 4 * STEP_NS, w.joint.position_rad = 5 * -7.0 * STEP_S;
     w.state.since_ns[0] = w.state.since_ns[2] = w.state.since_ns[3] = w.joint.stamp_ns - 2000000000;
     CHECK(!plausible(&w.state, &w.config, &w.joint, -7.0, 0.5, &w.why));
-    /* too slow a set-point for a direction */
+    /* the set-point is too small for a fault of direction */
     CHECK(w.why.fault == FAULT_FOLLOWING_ERROR && w.why.measured_rad_s < -6.9);
 }
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * drive_walk.h: one table of the mode of a drive after every event in every mode, for the
- * machines of all media. */
+ * drive_walk.h: compares the mode of a drive after every event in every mode with
+ * drive_walk_table.h, for the machines of all media. */
 #ifndef MOTORD_TESTS_DRIVE_WALK_H
 #define MOTORD_TESTS_DRIVE_WALK_H
 
@@ -28,26 +28,26 @@ typedef enum {
     EVENT_COUNT
 } walk_event;
 
-/* One drive whose wheel keeps turning. The core's set-points are fresh, enabled, and not zero.
- * What cannot occur on a medium is NULL. */
+/* Functions that cause each event on one medium, for a drive whose wheel keeps turning. The core's
+ * set-points are fresh, enabled, and not zero. An event that cannot occur on the medium is NULL. */
 typedef struct {
     walk_kind kind;
-    void (*begin)(void); /* OFF, or where there is no set-up READY */
+    void (*begin)(void); /* leads to OFF; on a medium without set-up to READY */
     void (*set_up)(void);
-    void (*arm)(void); /* from READY; where it is not allowed, the request alone */
+    void (*arm)(void); /* arms a READY drive; in other modes only sends the request */
     void (*request)(uint32_t mode);
     void (*old)(void);
     void (*not_enabled)(void);
     void (*silent)(void);
     void (*answers)(void);
-    void (*disabled)(void); /* it has no power, and reports it */
+    void (*disabled)(void); /* the drive reports that it has lost its power */
     void (*lost_setup)(void);
-    void (*still_enabled)(void); /* it keeps its power, and reports it */
+    void (*still_enabled)(void); /* the drive reports that it has kept its power */
     void (*end)(void);
     void (*go_on)(int64_t for_ns);
     const drive_state *(*state)(void);
     uint64_t (*motion)(void);     /* frames with a set-point that is not zero, so far */
-    uint64_t (*power_offs)(void); /* that the drive was sent, so far */
+    uint64_t (*power_offs)(void); /* power-offs sent to the drive, so far */
 } walk_medium;
 
 #undef LEADS_TO
@@ -135,7 +135,8 @@ static inline bool walk_cannot_occur(walk_kind kind, int event, int from)
     return false;
 }
 
-/* Only a drive that is ARMED is sent motion. `cells`: how many can occur. */
+/* Walks through all events from all modes. Only an ARMED drive is sent motion. `cells`: number of
+ * pairs of event and mode that can occur. */
 static inline int walk_all(const walk_medium *medium, uint32_t cells, const char *name)
 {
     uint32_t walked = 0;

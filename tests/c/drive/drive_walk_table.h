@@ -17,7 +17,7 @@ LEADS_TO(LOST_SETUP, OFF, OFF, OFF, OFF, UNRESPONSIVE, BACK)
 LEADS_TO(STILL_ENABLED, OFF, READY, ARMED, READY, UNRESPONSIVE, BACK)
 LEADS_TO(LINE_ENDS, OFF, READY, READY, READY, UNRESPONSIVE, BACK)
 
-/* SENDS_POWER_OFF(event, from): on all media that have the event there. */
+/* SENDS_POWER_OFF(event, from): holds for all media on which the event can occur. */
 SENDS_POWER_OFF(SETPOINTS_NOT_ENABLED, ARMED)
 SENDS_POWER_OFF(ANSWERS_AGAIN, UNRESPONSIVE)
 SENDS_POWER_OFF(DISABLED_ITSELF, ARMED)
@@ -26,8 +26,8 @@ SENDS_POWER_OFF(LOST_SETUP, ARMED)
 SENDS_POWER_OFF(LOST_SETUP, STOPPING)
 SENDS_POWER_OFF(STILL_ENABLED, READY)
 
-/* CANNOT_OCCUR(medium, event or ANY, from or ANY, why). Media: RS485, CAN, BOARD, BRIDGE in C;
- * ASYNCIO: Modbus and CAN there; ASYNCIO_CAN: only CAN there. */
+/* CANNOT_OCCUR(medium, event or ANY, from or ANY, why). Media: RS485, CAN, BOARD and BRIDGE in C;
+ * ASYNCIO: Modbus and CAN in asyncio; ASYNCIO_CAN: only CAN in asyncio. */
 CANNOT_OCCUR(CAN, LOST_SETUP, ANY, "no field of its table shows whether it has kept its set-up")
 CANNOT_OCCUR(BRIDGE, ANY, OFF, "it has no set-up: it is READY as soon as its thread runs")
 CANNOT_OCCUR(BRIDGE, ANY, UNRESPONSIVE, "it gives no replies that could fail to come")
@@ -53,7 +53,7 @@ CANNOT_OCCUR(ASYNCIO, REQUESTED_READY, UNRESPONSIVE,
 CANNOT_OCCUR(ASYNCIO_CAN, LOST_SETUP, ANY,
              "the line reads nothing that shows whether it has kept its set-up")
 
-/* DIFFERS(medium, event, from, the mode that it leads to there, why) */
+/* DIFFERS(medium, event, from, mode to which the event leads on this medium, why) */
 DIFFERS(ASYNCIO, FALLS_SILENT, OFF, UNRESPONSIVE, "the line sets it up, and gets no reply")
 DIFFERS(ASYNCIO, LINE_ENDS, READY, OFF,
         "the medium is closed after the power-off: nothing is known of the drive")

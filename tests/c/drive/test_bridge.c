@@ -24,7 +24,7 @@ static const uint64_t POWER_BIT = 1u << 5;
 static _Atomic uint64_t bits_set_to;
 static _Atomic uint64_t bits_that_changed;
 
-/* In the C library's place: GPIO lines that remember. */
+/* Replaces the C library's function: GPIO lines that keep their values. */
 int ioctl(int fd, unsigned long request, ...)
 {
     va_list rest;
@@ -41,7 +41,7 @@ int ioctl(int fd, unsigned long request, ...)
     return 0;
 }
 
-/* One pin with the duty, one that is active low and selects backward. */
+/* A bridge with one pin for the duty, and one, active low, that selects backward. */
 static bridge_config config_of(int fd)
 {
     bridge_config config = {
@@ -116,7 +116,7 @@ static void old_set_points_or_a_late_thread_brake_and_then_coast(void)
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 503 * MS) == 0.0 && state.drive.stopping);
 }
 
-/* The mailbox keeps the newest request only: an overtaken one may have been a stop. */
+/* The mailbox keeps only the newest request. An overtaken one may have been a stop. */
 static void a_stop_that_an_arming_overtakes_still_takes_the_power(void)
 {
     bridge_state state = {0};
@@ -131,10 +131,10 @@ static void a_stop_that_an_arming_overtakes_still_takes_the_power(void)
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 3 * MS) == 0.5);
     bridge_control stop = {.mode = PWM_STOP, .number = 5};
     CHECK(level_at(&state, &stop, 0.5, 1, 0, START_NS + 4 * MS) == 0.0 && state.drive.stopping);
-    arm.number = 7; /* it brakes, and a power-off may have been overtaken */
+    arm.number = 7; /* the bridge brakes, and a power-off may have been overtaken */
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 5 * MS) == 0.0 &&
           state.drive.mode == DRIVE_READY && !state.drive.stopping);
-    arm.number = 9; /* it has no power: there is nothing to take */
+    arm.number = 9; /* the bridge has no power that could be taken */
     CHECK(level_at(&state, &arm, 0.5, 1, 0, START_NS + 6 * MS) == 0.5);
 }
 
@@ -204,8 +204,9 @@ static void arm_line_1(void)
     pwm_line_put_control(1, &(bridge_control){.mode = PWM_ARMED, .number = ++requests});
 }
 
-/* With set-points of `duty`; 0: with none. A busy machine may have held up this program, and the
- * thread has stopped, as it must: a motor that is to turn is armed again. */
+/* Waits until the file has `duty_ns`; sends set-points of `duty`, or no set-points if it is 0. A
+ * busy machine may delay this program, so that the thread stops by itself. So a motor that is to
+ * turn is armed again. */
 static bool comes_true(int fd, unsigned long duty_ns, double duty)
 {
     for (int i = 0; i < 10000; i++) {
@@ -230,7 +231,7 @@ static void the_thread_writes_the_files_and_ends_at_rest(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
     bridge_config config = config_of(fd);
-    config.output_count = 1; /* no GPIO lines here */
+    config.output_count = 1; /* without GPIO lines */
     config.outputs_fd = -1;
     bridge_report report;
     exchange_init(&shared_exchange);
@@ -240,7 +241,7 @@ static void the_thread_writes_the_files_and_ends_at_rest(void)
     arm_line_1();
     CHECK(comes_true(fd, 25000, 0.5));
     CHECK(comes_true(fd, 0, 0.0));
-    CHECK(comes_true(fd, 25000, 0.5)); /* when it does not brake any more */
+    CHECK(comes_true(fd, 25000, 0.5)); /* after the brake has ended */
     CHECK(pwm_line_stop(1) == 0 && duty_in(fd) == 0);
     CHECK(pwm_line_read_report(1, &report) == 0 && report.running == 0 && report.error == 0 &&
           report.cycles > 0);
@@ -252,7 +253,7 @@ static void the_thread_ends_with_the_errno_and_the_pin(void)
 {
     int ends[2];
     CHECK(pipe(ends) == 0);
-    bridge_config config = config_of(ends[1]); /* pwrite to a pipe: ESPIPE */
+    bridge_config config = config_of(ends[1]); /* pwrite to a pipe fails with ESPIPE */
     config.output_count = 1;
     bridge_report report = {.running = 1};
     CHECK(pwm_line_start(2, &config) == 0);
@@ -280,7 +281,7 @@ static void pins_are_brought_to_rest_after_a_failure(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);
     bridge_config config = config_of(fd);
-    config.inputs_fd = 98; /* of no file */
+    config.inputs_fd = 98; /* a descriptor that is not open */
     config.joint[0].fault_mask = 1;
     bridge_report report = {.running = 1};
     exchange_init(&shared_exchange);
@@ -288,7 +289,8 @@ static void pins_are_brought_to_rest_after_a_failure(void)
     CHECK(report.error == ENOTTY && report.rest_error == 0 && close(fd) == 0);
 }
 
-/* The motor runs at `duty`; then writes fail, and the set-point is `then`: which lines changed. */
+/* The motor runs at `duty`. Then writes of the duty fail, and the set-point changes to `then`.
+ * Returns the GPIO lines that changed. */
 static uint64_t changed_at_a_failure(const bridge_config *wanted, double duty, double then)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC), pipe_ends[2];
@@ -302,7 +304,7 @@ static uint64_t changed_at_a_failure(const bridge_config *wanted, double duty, d
     arm_line_1();
     CHECK(comes_true(fd, 25000, duty));
     CHECK(((bits_set_to & DIRECTION_BIT) != 0) == (duty > 0.0));
-    CHECK(dup2(pipe_ends[1], fd) == fd); /* from now on its writes fail, with ESPIPE */
+    CHECK(dup2(pipe_ends[1], fd) == fd); /* from here on writes to it fail with ESPIPE */
     bits_that_changed = 0;
     CHECK(ends(1, then, &report));
     CHECK(report.error == ESPIPE && report.error_output == 0);
@@ -315,7 +317,7 @@ static void a_motor_whose_duty_cannot_be_cleared_gets_no_direction_change(void)
 {
     bridge_config config = config_of(-1);
     CHECK(changed_at_a_failure(&config, 0.5, -0.5) == 0);
-    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0); /* at rest it would select forward */
+    CHECK(changed_at_a_failure(&config, -0.5, 0.5) == 0); /* 0 would select forward */
     CHECK(changed_at_a_failure(&config, -0.5, -0.25) == 0);
 }
 

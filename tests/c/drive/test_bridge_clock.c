@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The thread of a line of bridges, on a plain file, when the computer was suspended. */
+ * The thread of a line of bridges, on a plain file, after a suspend of the computer. */
 #include <sys/mman.h>
 #include <sys/syscall.h>
 #include <time.h>
@@ -14,8 +14,8 @@ static const int64_t MS = 1000000;
 static exchange shared;
 static _Atomic int64_t slept_s;
 
-/* In the C library's place: a computer that was suspended for so long. CLOCK_MONOTONIC stood
- * still meanwhile. */
+/* Replaces the C library's function: a computer that was suspended for `slept_s`, while
+ * CLOCK_MONOTONIC stood still. */
 int clock_gettime(clockid_t clock, struct timespec *out)
 {
     long failed = syscall(SYS_clock_gettime, clock, out);
@@ -40,7 +40,8 @@ static unsigned long duty_in(int fd)
     return strtoul(text, NULL, 10);
 }
 
-/* The loop has not ticked since: the set-points are young by CLOCK_MONOTONIC, and not zero. */
+/* The loop has not ticked since the suspend: by CLOCK_MONOTONIC the set-points are new, and they
+ * are not zero. */
 static void set_points_from_before_a_suspend_take_the_power(void)
 {
     int fd = memfd_create("duty_cycle", MFD_CLOEXEC);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_bridge_steps: the levels of a bridge's pins, step by step and to the nanosecond; and each
- * edge of its config. */
+ * test_bridge_steps: the levels of a bridge's pins, step by step and exact to the nanosecond, and
+ * each bound of its configuration. */
 #include <errno.h>
 #include <float.h>
 #include <math.h>
@@ -11,7 +11,7 @@
 
 static const int64_t MS = 1000000, START_NS = 5000000000;
 
-/* Each mode has a level of its own, and its own share of the duty. */
+/* Two motors. Each mode has its own level and its own share of the duty. */
 static bridge_config two_motors(void)
 {
     bridge_config config = {
@@ -85,7 +85,7 @@ static void each_mode_has_its_level(void)
 {
     bench b = begun();
     steps_on(&b, 0);
-    CHECK(b.level[0] == 0.1 && b.level[1] == 0.1); /* no power */
+    CHECK(b.level[0] == 0.1 && b.level[1] == 0.1); /* without power */
     requests(&b, PWM_ARMED);
     CHECK(is(b.level[0], 0.3 + 0.25 * 0.5) && is(b.level[1], 0.4 + 0.35 * 0.5));
     b.newest.joint[0].duty = 0.05, b.newest.joint[1].duty = -0.05;
@@ -93,7 +93,7 @@ static void each_mode_has_its_level(void)
     CHECK(is(b.level[0], 0.3 + 0.25 * 0.05) && is(b.level[1], 0.3 + 0.25 * 0.05));
     b.newest.joint[0].duty = b.newest.joint[1].duty = 0.0;
     steps_on(&b, MS);
-    CHECK(b.level[0] == 0.2 && b.level[1] == 0.1); /* each has its own level of rest */
+    CHECK(b.level[0] == 0.2 && b.level[1] == 0.1); /* each joint has its own mode at rest */
     for (int direction = -1; direction <= 1; direction += 2) {
         for (int i = 0; i < 4; i++) {
             b.newest.joint[0].duty = direction * (const double[]){1.0, 1.05, 1.5, 40.0}[i];
@@ -118,7 +118,7 @@ static void a_joint_without_set_points_rests(void)
     CHECK(is(b.level[0], 0.3 + 0.25 * 0.5) && b.level[1] == 0.1);
 }
 
-/* Pin 0: its level is 0.5 in the middle and 0.25 less or more at the ends. */
+/* A servo on pin 0: its level is 0.5 in the middle, and 0.25 or 0.75 at the ends. */
 static bench servo(void)
 {
     bench b = begun();
@@ -135,7 +135,7 @@ static void a_servo_gets_the_pulses_of_its_newest_position(void)
 {
     bench b = servo();
     b.newest.position_rad[0] = 0.4;
-    /* no power, no pulses */
+    /* without power there are no pulses */
     CHECK(bridge_config_check(&b.config) == 0 && steps_on(&b, 0)[0] == 0.0);
     CHECK(is(requests(&b, PWM_ARMED)[0], 0.5 + 0.125));
     const double at_rad[] = {0.0, -0.2, -0.8, -0.84, -1.2, -7.0, 0.8, 0.84, 1.2, 7.0};
@@ -154,7 +154,7 @@ static void a_servo_may_have_any_range_and_zero_is_its_middle(void)
     for (int i = 0; i < 5; i++) {
         bench b = servo();
         b.config.joint[0].full_rad = full_rad[i];
-        /* at zero it counts as one that goes forward */
+        /* a position of 0 has the levels of forward */
         b.config.output[0].base[BRIDGE_REVERSE] = 0.4;
         b.newest.position_rad[0] = 0.5 * full_rad[i];
         CHECK(bridge_config_check(&b.config) == 0 && is(requests(&b, PWM_ARMED)[0], 0.5 + 0.125));
@@ -165,7 +165,7 @@ static void a_servo_may_have_any_range_and_zero_is_its_middle(void)
     }
 }
 
-/* In either place of the table, for any joint of the robot. */
+/* Servos in both places of the table, for joints in another order. */
 static void each_servo_has_a_position_of_its_own(void)
 {
     bench b = servo();
@@ -186,7 +186,7 @@ static void each_servo_has_a_position_of_its_own(void)
     b.newest.position_rad[1] = 0.4;
     steps_on(&b, MS);
     CHECK(is(b.level[0], 0.5625) && is(b.level[1], 0.4375));
-    /* of those that have had no position yet, the pulses wait */
+    /* a servo without any position so far gets no pulses */
     for (uint32_t known = 0; known < 4; known++) {
         bench c = b;
         c.state = (bridge_state){0}, c.control = (bridge_control){0};
@@ -202,7 +202,7 @@ static void the_full_number_of_servos_have_a_position_each(void)
     bench b = servo();
     b.config.joint_count = b.newest.joint_count = JOINTS_MAX;
     b.newest.positioned = (1U << JOINTS_MAX) - 1U;
-    b.config.output[0].pumps = 1; /* the memory after the joints is not zero */
+    b.config.output[0].pumps = 1; /* would be read for a joint beyond the last */
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         b.config.joint[j] =
             (bridge_joint){.index = j, .sign = 1.0, .full_rad = 0.8, .rest_mode = BRIDGE_COAST};
@@ -220,7 +220,7 @@ static void a_servo_without_a_position_holds_the_one_before(void)
 {
     bench b = servo();
     b.newest.positioned = 0;
-    CHECK(requests(&b, PWM_ARMED)[0] == 0.0); /* never had one: no pulses */
+    CHECK(requests(&b, PWM_ARMED)[0] == 0.0); /* no position so far: no pulses */
     b.newest.positioned = 1, b.newest.position_rad[0] = -0.4;
     CHECK(is(steps_on(&b, MS)[0], 0.375));
     const double nonsense[] = {NAN, INFINITY, -INFINITY};
@@ -236,7 +236,7 @@ static void a_servo_without_a_position_holds_the_one_before(void)
 
 static void a_servo_that_stops_holds_its_position_and_then_gets_no_pulses(void)
 {
-    /* a request, set-points that are old or not enabled any more */
+    /* the servo stops by a request, by old set-points, or when it is no longer enabled */
     for (int how = 0; how < 3; how++) {
         bench b = servo();
         b.newest.position_rad[0] = 0.4;
@@ -249,7 +249,7 @@ static void a_servo_that_stops_holds_its_position_and_then_gets_no_pulses(void)
         CHECK(!b.state.drive.stopping || is(steps_on(&b, 50 * MS)[0], 0.625));
         CHECK(steps_on(&b, 400 * MS)[0] == 0.0 && steps_on(&b, MS)[0] == 0.0);
         b.age_ns = 0, b.newest.enabled = 1, b.newest.positioned = 0;
-        CHECK(requests(&b, PWM_ARMED)[0] == 0.0); /* an old place does not count */
+        CHECK(requests(&b, PWM_ARMED)[0] == 0.0); /* the position before does not count */
     }
     bench b = servo();
     requests(&b, PWM_ARMED);
@@ -260,7 +260,7 @@ static void each_fault_reason_stays_until_the_next_arming(void)
 {
     bench b = begun();
     requests(&b, PWM_ARMED);
-    steps_on(&b, 100 * MS); /* as long as set-points count */
+    steps_on(&b, 100 * MS); /* set-points are fresh for so long */
     CHECK(b.state.drive.mode == DRIVE_ARMED && b.state.drive.fault_reasons == 0);
     steps_on(&b, 100 * MS + 1);
     CHECK(b.state.drive.fault_reasons == DRIVE_FAULT_LEFT_ALONE && b.level[0] == 0.2);
@@ -280,7 +280,7 @@ static void each_fault_reason_stays_until_the_next_arming(void)
           b.state.brake_until_ns == b.now_ns + 300 * MS);
     b.age_ns = 0;
     b.control.number++;
-    requests(&b, PWM_ARMED); /* a request was not seen: it may have been a stop */
+    requests(&b, PWM_ARMED); /* a request was missed: it may have been a stop */
     CHECK(b.state.drive.mode == DRIVE_READY && !b.state.drive.stopping && b.level[0] == 0.1);
 }
 
@@ -294,19 +294,19 @@ static void a_braking_bridge_ignores_requests_except_power_off(void)
     requests(&b, PWM_ARMED);
     CHECK(b.state.drive.mode == DRIVE_READY && b.state.drive.stopping && b.level[0] == 0.2 &&
           b.level[1] == 0.2);
-    requests(&b, PWM_STOP); /* its line ends */
+    requests(&b, PWM_STOP); /* as at the end of the line */
     CHECK(b.state.drive.stopping && b.state.brake_until_ns == until_ns && b.level[0] == 0.2);
     CHECK(b.state.drive.fault_reasons == 0);
     requests(&b, PWM_OFF);
     CHECK(!b.state.drive.stopping && b.level[0] == 0.1 && b.level[1] == 0.1);
     requests(&b, PWM_STOP);
-    CHECK(!b.state.drive.stopping && b.level[0] == 0.1); /* what has no power does not brake */
+    CHECK(!b.state.drive.stopping && b.level[0] == 0.1); /* a bridge without power does not brake */
     requests(&b, PWM_ARMED);
     CHECK(b.state.drive.mode == DRIVE_ARMED);
 }
 
-/* The core may enable it later; once it has, even between two looks, the end of that takes the
- * power. */
+/* The core may enable the bridge later. When it has done so, even between two looks, and ends it,
+ * the bridge loses its power. */
 static void a_bridge_that_is_no_longer_enabled_has_no_power(void)
 {
     bench b = begun();
@@ -337,7 +337,7 @@ static void a_level_is_rounded_to_whole_nanoseconds_of_the_period(void)
           bridge_duty_ns(&pin, 0.00155) == 2);
     CHECK(bridge_duty_ns(&pin, 0.0) == 0 && bridge_duty_ns(&pin, 1.0) == 1000 &&
           bridge_duty_ns(&pin, 1.05) == 1000);
-    pin.period_ns = (UINT64_C(1) << 53) + 3; /* the nearest double is more */
+    pin.period_ns = (UINT64_C(1) << 53) + 3; /* the nearest double is larger */
     CHECK(bridge_duty_ns(&pin, 1.0) == pin.period_ns);
     pin.period_ns = 1000;
     pin.inverted = 1;
@@ -390,7 +390,7 @@ static void each_number_of_a_config_has_its_range(void)
         ALLOWED(output[i].bit, 63);
         REFUSED(output[i].bit, 64);
         ALLOWED(output[i].pumps, 1);
-        REFUSED(output[i].fd, 0); /* its channel has no period */
+        REFUSED(output[i].fd, 0); /* the file of a channel needs a period */
         for (uint32_t mode = 0; mode < BRIDGE_MODES; mode++) {
             ALLOWED(output[i].base[mode], 0.0);
             REFUSED(output[i].base[mode], -1e-9);

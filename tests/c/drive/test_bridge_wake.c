@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The thread of a line of bridges, on a plain file: what the loop and asyncio send it leaves
+ * The thread of a line of bridges, on a plain file: it carries out what the loop and asyncio send
  * before its next cycle. */
 #include <errno.h>
 #include <linux/gpio.h>
@@ -19,7 +19,7 @@ static exchange shared;
 
 static _Atomic uint64_t lines, line_writes;
 
-/* In the C library's place: GPIO lines. */
+/* Replaces the C library's function: GPIO lines that keep their values. */
 int ioctl(int fd, unsigned long request, ...)
 {
     va_list more;
@@ -51,7 +51,7 @@ static void wait_for_duty(int fd, unsigned long duty_ns)
     }
 }
 
-/* As the loop does it. */
+/* Sends set-points and wakes the line, like the loop. */
 static void put(double duty)
 {
     const uint64_t one = 1;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A motor on a bridge in every mode, and every event that it has. */
+ * A motor on a bridge in every mode, and the effect of every event that can occur. */
 #include <string.h>
 
 #include "drive_walk.h"
@@ -26,7 +26,7 @@ static void begin_bridge(void)
         .event_fd = -1,
         .period_ns = MS,
         .setpoint_timeout_ns = 100 * MS,
-        .stopping_ns = 1000 * MS, /* the wheel turns */
+        .stopping_ns = 1000 * MS, /* a second, because the wheel keeps turning */
         .joint_count = 1,
         .output_count = 1,
         .joint = {{.sign = 1.0, .rest_mode = BRIDGE_BRAKE}},

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The rules of when a drive has to stop: every state and every event, against a table. */
+ * The rules of when a drive has to stop: every state and every event, compared with a table. */
 #include "check.h"
 #include "drive_state.h"
 
@@ -16,7 +16,7 @@ static drive_view good_view(void)
 }
 
 /* ----------------------------------------------------------------------------- requests */
-/* By mode and request: the mode that follows where nothing prevents it. */
+/* The mode to which each request (column) leads from each mode (row), if nothing prevents it. */
 static const uint32_t FOLLOWS[MODES][REQUESTS] = {
     {DRIVE_OFF, DRIVE_READY, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF},
     {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_READY, DRIVE_READY, DRIVE_READY},
@@ -125,19 +125,19 @@ static void a_drive_without_a_known_position_gets_no_power(void)
           drive_guard(&drive, &view) == STOP_NOTHING);
     drive = (drive_state){.mode = DRIVE_READY, .fault_reasons = DRIVE_FAULT_LEFT_ALONE};
     CHECK(drive_obey(&drive, &request, &view).request == REQUEST_SEEN);
-    /* it is not forgotten */
+    /* earlier reasons are kept */
     CHECK(drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_POSITION_UNKNOWN));
     drive = (drive_state){.mode = DRIVE_ARMED, .enabled = 1};
     CHECK(drive_guard(&drive, &view) == STOP_POWER_OFF && drive.mode == DRIVE_READY &&
           !drive.stopping);
     CHECK(drive.fault_reasons == DRIVE_FAULT_POSITION_UNKNOWN && drive.enabled == 2);
-    view.fresh = false; /* it may be moving */
+    view.fresh = false; /* the drive may be moving */
     drive = (drive_state){.mode = DRIVE_ARMED};
     CHECK(drive_guard(&drive, &view) == STOP_QUICK &&
           drive.fault_reasons == DRIVE_FAULT_SETPOINTS_OLD);
 }
 
-/* The first of them that is true decides. */
+/* The first reason that is true decides. */
 static void an_armed_drive_is_stopped_for_each_reason_in_order(void)
 {
     for (uint32_t bits = 0; bits < 64; bits++) {
@@ -172,7 +172,7 @@ static void an_armed_drive_is_stopped_for_each_reason_in_order(void)
 static void a_last_power_off_is_confirmed_by_the_drive_s_report(void)
 {
     drive_last_off off = {0};
-    /* it has not gone out */
+    /* no power-off has been sent */
     CHECK(!drive_is_off(&off, true, 0, NOW_NS) && !drive_is_off(&off, false, 2, NOW_NS));
     off.suffices = true;
     CHECK(!drive_is_off(&off, true, 0, NOW_NS));
@@ -189,7 +189,7 @@ static void without_reported_power_a_drive_has_to_send_between_two_power_offs(vo
     CHECK(!drive_is_off(&off, false, 2, NOW_NS) && drive_is_off(&off, false, 2, NOW_NS + 1));
     CHECK(drive_is_off(&off, false, 2, NOW_NS + 10) && !drive_is_off(&off, false, 2, NOW_NS + 11));
     off.newest_ns = NOW_NS;
-    /* once alone */
+    /* only one power-off has been sent */
     CHECK(!drive_is_off(&off, false, 2, NOW_NS) && !drive_is_off(&off, false, 2, NOW_NS + 1));
 }
 
@@ -197,8 +197,9 @@ static void a_drive_is_left_alone_when_it_got_nothing_for_longer_than_its_watchd
 {
     CHECK(!drive_left_alone(NOW_NS - 5, NOW_NS, 5) && drive_left_alone(NOW_NS - 6, NOW_NS, 5));
     CHECK(!drive_left_alone(NOW_NS, NOW_NS, 1) && drive_left_alone(0, NOW_NS, 1));
-    CHECK(!drive_left_alone(0, NOW_NS, 0) && !drive_left_alone(0, NOW_NS, -1)); /* it has none */
-    /* it got something meanwhile */
+    CHECK(!drive_left_alone(0, NOW_NS, 0) && !drive_left_alone(0, NOW_NS, -1)); /* without a
+                                                                                   watchdog */
+    /* a frame was received in the meantime */
     CHECK(!drive_left_alone(NOW_NS + 6, NOW_NS, 5));
 }
 

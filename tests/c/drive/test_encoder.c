@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Every line of encoder.c: the kernel's own event structure through a pipe, a counter's file, and
+ * Every line of encoder.c: structures of kernel events through a pipe, the file of a counter, and
  * the thread of bridges with both. */
 #include <errno.h>
 #include <fcntl.h>
@@ -44,7 +44,7 @@ static wheel new_wheel(void)
 static void turn(wheel *w, int edges, int64_t gap_ns)
 {
     for (int i = 0; i < edges; i++) {
-        /* forward: A rises, B rises, A falls, B falls */
+        /* order of edges in forward direction: A rises, B rises, A falls, B falls */
         struct gpio_v2_line_event event = {
             .timestamp_ns = (uint64_t)(START_NS + (int64_t)w->sequence * gap_ns),
             .id = w->step < 2 ? GPIO_V2_LINE_EVENT_RISING_EDGE : GPIO_V2_LINE_EVENT_FALLING_EDGE,
@@ -73,14 +73,14 @@ static void events_of_the_kernel_are_counted(void)
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 89 * MS) - 100.0 * PER_COUNT) <
           1e-9);
     CHECK(encoder_velocity_rad_s(&state, &config, START_NS + 400 * MS) == 0.0);
-    turn(&w, BURST, MS); /* more than one look takes */
+    turn(&w, BURST, MS); /* more edges than one look reads */
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 80 + 1024);
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.count == 80 + BURST);
-    w.sequence += 2; /* two that the kernel dropped */
+    w.sequence += 2; /* the kernel dropped two edges */
     turn(&w, 1, MS);
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.lost == 2 && state.epoch == 1);
     CHECK(state.illegal == 0);
-    w.step = (w.step + 3) % 4; /* the level that is there already */
+    w.step = (w.step + 3) % 4; /* an edge to the present level */
     turn(&w, 1, MS);
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.illegal == 1);
     CHECK(close(w.out) == 0);
@@ -89,7 +89,7 @@ static void events_of_the_kernel_are_counted(void)
     CHECK(encoder_read(&state, &config, START_NS) == -EBADF);
 }
 
-/* Edges by hand: the levels of A and B after each, one of them changed. */
+/* Makes one edge: `levels` are those of A and B after it. */
 static void go_to(encoder_state *state, const encoder_config *config, uint32_t levels,
                   int64_t stamp_ns)
 {
@@ -101,7 +101,7 @@ static void go_to(encoder_state *state, const encoder_config *config, uint32_t l
 
 static void backward_counts_down_from_wherever_it_turns_round(void)
 {
-    static const uint32_t FORWARD[4] = {0, 2, 3, 1}; /* 2 A + B, A before B */
+    static const uint32_t FORWARD[4] = {0, 2, 3, 1}; /* values of 2 A + B when A leads B */
     encoder_config config = edges_on(-1);
     for (uint32_t first = 0; first < 4; first++) {
         config.levels = FORWARD[first];
@@ -154,7 +154,7 @@ static void a_counter_goes_by_the_shorter_arc(void)
         encoder_counter(&state, &config, steps[i].raw, START_NS + (int64_t)i * MS);
         CHECK(state.count == steps[i].count);
     }
-    CHECK(state.edge_ns == START_NS + 5 * MS); /* the same again is no edge */
+    CHECK(state.edge_ns == START_NS + 5 * MS); /* the same count is no edge */
     encoder_counter(&state, &config, 10, START_NS);
     CHECK(state.illegal == 1 && state.count == 3);
 }
@@ -167,7 +167,8 @@ static void a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence(void)
     encoder_init(&state, &config);
     encoder_counter(&state, &config, 0, START_NS);
     encoder_counter(&state, &config, 10, START_NS);
-    CHECK(encoder_velocity_rad_s(&state, &config, START_NS) == 0.0); /* from when on? */
+    CHECK(encoder_velocity_rad_s(&state, &config, START_NS) == 0.0); /* the time of the last edge is
+                                                                        unknown */
     encoder_counter(&state, &config, 0, START_NS + 10 * MS);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 10 * MS) + 1000.0) < 1e-6);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 10 * MS + MS / 2) + 1000.0) <
@@ -179,7 +180,7 @@ static void a_wheel_is_no_faster_than_one_count_in_the_time_of_its_silence(void)
     encoder_counter(&state, &config, 1, START_NS + 300 * MS);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 300 * MS) - 1000.0 / 290.0) <
           1e-6);
-    /* noise: so near that it is no speed */
+    /* noise: too soon after the last edge to measure a speed */
     encoder_counter(&state, &config, 2, START_NS + 300 * MS + 999);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, START_NS + 300 * MS + 999) -
                1000.0 / 290.0) < 1e-6);
@@ -192,8 +193,8 @@ static int file_with(const char *text)
     return fd;
 }
 
-/* In one piece, as the kernel's files are; the tail of a longer number stays after the line's
- * end. */
+/* Writes a number in one piece, like a file of the kernel. Behind the line's end the tail of a
+ * longer number may remain. */
 static void say(int fd, const char *text)
 {
     CHECK(pwrite(fd, text, strlen(text), 0) == (ssize_t)strlen(text));
@@ -225,7 +226,7 @@ static void a_counter_is_read_from_its_file(void)
     CHECK(encoder_config_check(&config) == -EINVAL);
 }
 
-/* The kernel's files hold a whole number and a line's end; nothing else counts. */
+/* Files of the kernel hold a whole number and a line's end. Text after that does not count. */
 static void an_empty_file_is_an_error_and_text_after_the_number_is_ignored(void)
 {
     encoder_config config = {
@@ -243,7 +244,7 @@ static void an_empty_file_is_an_error_and_text_after_the_number_is_ignored(void)
     say(config.fd, "54321");
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.raw == 54321);
     CHECK(ftruncate(config.fd, 0) == 0);
-    say(config.fd, "7"); /* without a line's end, and nothing of the one before */
+    say(config.fd, "7"); /* without a line's end, and without the rest of the number before */
     CHECK(encoder_read(&state, &config, START_NS) == 0 && state.raw == 7);
     CHECK(close(config.fd) == 0);
 }
@@ -261,7 +262,7 @@ static void a_writer_that_has_gone_is_reported_with_the_next_look(void)
     CHECK(close(w.in) == 0);
 }
 
-/* 1000 counts/s, measured last at START_NS + 10 ms. */
+/* An encoder at 1000 counts/s, whose last count was at START_NS + 10 ms. */
 static encoder_state counting(const encoder_config *config)
 {
     encoder_state state;
@@ -285,7 +286,8 @@ static void silence_slows_a_wheel_down_and_a_quarter_of_a_second_stops_it(void)
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + 250 * MS) - 4.0) < 1e-9);
     CHECK(encoder_velocity_rad_s(&state, &config, last_ns + 250 * MS + 1) == 0.0);
     state = counting(&config);
-    encoder_counter(&state, &config, 10011, last_ns + 1000); /* near, but far enough to measure */
+    encoder_counter(&state, &config, 10011, last_ns + 1000); /* soon, but not too soon to measure a
+                                                                speed */
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + 1000) - 1e10) < 1.0);
     CHECK(fabs(encoder_velocity_rad_s(&state, &config, last_ns + 1001) - 1e9) < 1.0);
 }
@@ -315,7 +317,7 @@ static void a_config_at_the_edge_of_its_range_is_good(void)
     CHECK(encoder_config_check(&config) == -EINVAL);
 }
 
-/* Joints without encoders, and one output. */
+/* A bridge with one output and joints without encoders. */
 static bridge_config bridge_of(uint32_t joints, int duty_fd)
 {
     bridge_config config = {
@@ -375,7 +377,7 @@ static void the_thread_of_bridges_feeds_back_what_its_encoders_count(void)
     w.sequence += 4;
     turn(&w, 1, MS);
     CHECK(comes_true(0, 10, &found) && found.epoch == (3u << 16) + 1);
-    CHECK(close(w.out) == 0); /* the chip is gone: the motors rest */
+    CHECK(close(w.out) == 0); /* the chip is gone: the motors come to rest */
     const struct timespec moment = {.tv_nsec = 5 * MS};
     int tries = 0;
     do {
@@ -396,12 +398,12 @@ static void counts_of_a_board_are_fed_back_with_its_own_time(void)
     joint_feedback found, other;
     exchange_init(&mailboxes);
     encoder_sample sample = {.count = 70, .stamp_ns = START_NS, .origin = 1};
-    pwm_line_put_sample(0, 0, &sample); /* no wheel is there */
+    pwm_line_put_sample(0, 0, &sample); /* the line does not run yet */
     config.joint[0].encoder.ceiling = 0;
     CHECK(pwm_line_start(0, &config) == -EINVAL);
     config.joint[0].encoder.ceiling = UINT64_MAX;
     CHECK(pwm_line_start(0, &config) == 0);
-    CHECK(comes_true(1, 0, &other)); /* it has fed back, of the other joint alone */
+    CHECK(comes_true(1, 0, &other)); /* feedback comes, but only of the other joint */
     CHECK(exchange_take_feedback(&mailboxes, 0, &found) == 0 || found.stamp_ns == 0);
     pwm_line_put_sample(0, 0, &sample);
     CHECK(comes_true(0, 0, &found) && found.stamp_ns == START_NS && found.epoch == 3u << 16);
@@ -413,14 +415,14 @@ static void counts_of_a_board_are_fed_back_with_its_own_time(void)
     CHECK(comes_true(0, (uint64_t)-20, &found));
     CHECK(fabs(found.velocity_rad_s - 0.5 * 10 / 0.01) < 1e-6);
     sample = (encoder_sample){.count = 4000, .stamp_ns = START_NS + 30 * MS, .origin = 2};
-    pwm_line_put_sample(0, 0, &sample); /* the board has restarted: no motion */
+    pwm_line_put_sample(0, 0, &sample); /* the board has restarted: the new count is no motion */
     for (int tries = 0; tries < 4000 && found.epoch == 3u << 16; tries++) {
         (void)nanosleep(&(struct timespec){.tv_nsec = 5 * MS}, NULL);
         (void)exchange_take_feedback(&mailboxes, 0, &found);
     }
     CHECK(found.count == (uint64_t)-20);
     CHECK(found.epoch == (3u << 16) + 1 && found.stamp_ns == START_NS + 30 * MS);
-    pwm_line_put_sample(0, 1, &sample); /* that joint is not reported */
+    pwm_line_put_sample(0, 1, &sample); /* this joint has no reported encoder */
     CHECK(comes_true(1, 0, &other) && isnan(other.velocity_rad_s));
     CHECK(pwm_line_stop(0) == 0);
 }

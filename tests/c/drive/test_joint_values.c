@@ -5,7 +5,7 @@
 #include "check.h"
 #include "joint_values.h"
 
-/* Of each joint another one. */
+/* Set-points that differ for each joint. */
 static setpoints all_of(uint32_t joints)
 {
     setpoints from = {.enabled = 1, .joint_count = joints, .positioned = 0xFF};
@@ -35,7 +35,7 @@ static void an_angle_is_that_of_its_joint_where_it_counts(void)
         from = all_of(8);
         from.position_rad[joint % JOINTS_MAX] = NAN;
         CHECK(!setpoint_position(&from, joint, &position_rad));
-        from = all_of(JOINTS_MAX + 1); /* no more joints than there are */
+        from = all_of(JOINTS_MAX + 1); /* a count beyond the table */
         from.positioned = ~0U;
         CHECK(setpoint_position(&from, joint, &position_rad) == (joint < JOINTS_MAX));
     }
@@ -54,7 +54,7 @@ static void a_speed_a_duty_and_a_torque_are_those_of_their_joint(void)
               (is_there ? from.joint[joint].torque_n_m : 0.0));
         from.joint[joint % JOINTS_MAX].velocity_rad_s = INFINITY;
         CHECK(setpoint_of(&from, joint, SETPOINT_VELOCITY) == 0.0);
-        from = all_of(JOINTS_MAX + 1); /* no more joints than there are */
+        from = all_of(JOINTS_MAX + 1); /* a count beyond the table */
         CHECK(setpoint_of(&from, JOINTS_MAX, SETPOINT_VELOCITY) == 0.0);
     }
 }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_position_place: which target a joint that takes positions is sent, in the numbers of its
+ * test_position_place: which target is sent to a joint that takes positions, in the numbers of its
  * drive. */
 #include "check.h"
 #include "position_place.h"
@@ -8,7 +8,7 @@ static const int64_t NOW_NS = 5000000000, MS_NS = 1000000;
 static const position_range RANGE = {
     .least = -100.0, .most = 200.0, .per_s = 50.0, .window_ns = 400000000};
 
-/* Measured there a moment ago. */
+/* A position that was measured 10 ms ago; no target has been sent. */
 static position_place measured_at(double place)
 {
     return (position_place){.measured = place, .sent = NAN, .measured_ns = NOW_NS - 10 * MS_NS};
@@ -50,7 +50,7 @@ static void a_step_is_the_speed_for_the_time_but_no_longer_than_the_window(void)
     CHECK(fabs(place_step(&RANGE, 1) - 50e-9) < 1e-15);
 }
 
-/* The first target is where it is, and only one that is near. */
+/* The first target is the measured position, and only if the wanted target is near. */
 static void the_first_target_of_a_drive_is_its_measured_position(void)
 {
     static const struct {

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_watch: when the base may move, and how a move ends. Tables: one field of the input that
- * changes, and its effect. */
+ * test_watch: when the base may move, and how a move ends. Each row of a table is one changed field
+ * of the input and its effect. */
 #include "core_rig.h"
 
 static const change ARMING[] = {
@@ -43,7 +43,7 @@ static void arming_needs_everything_in_the_tick_of_the_edge(void)
         CHECK(r.shown.armed == ARMING[i].expected && r.shown.enabled == r.shown.armed &&
               r.out.enabled == r.shown.armed);
         CHECK(((r.shown.reasons & REASON_NOT_ARMED) != 0) == !r.shown.armed && zero(&r));
-        /* what is amiss with drives and heartbeat is latched of an armed base alone */
+        /* faults of drives and heartbeat are latched only if the base is armed */
         uint32_t latched = (r.input.control.estop ? (uint32_t)FAULT_ESTOP : 0) |
                            (r.input.control.fault ? (uint32_t)FAULT_EXTERNAL : 0) |
                            (r.input.suspended ? (uint32_t)FAULT_SUSPENDED : 0);
@@ -51,7 +51,7 @@ static void arming_needs_everything_in_the_tick_of_the_edge(void)
         if (r.shown.armed || !r.input.control.armed) {
             continue;
         }
-        /* no later, when all is well again: it takes another edge */
+        /* when everything is good again, the base is not armed before another edge */
         r.input.control.stop = r.input.control.estop = r.input.control.fault = r.input.suspended =
             0;
         r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.0;
@@ -70,7 +70,7 @@ static void arming_needs_everything_in_the_tick_of_the_edge(void)
     }
 }
 
-/* A command that is too old to count cannot move the base, so it does not keep it from arming. */
+/* A command that is too old cannot move the base, so it does not prevent arming. */
 static void a_stale_command_arms_and_moves_nothing(void)
 {
     static const change STALE[] = {
@@ -143,7 +143,7 @@ static void each_cause_latches_its_fault_at_once_in_motion_or_during_a_stop(void
                     CHECK(r.shown.joint[j].setpoint_rad_s == r.out.joint[j].velocity_rad_s &&
                           r.shown.joint[j].duty == r.out.joint[j].duty);
                 }
-                /* no jerk limit: the deceleration is there in the first tick */
+                /* without a jerk limit: the full deceleration in the first tick */
                 CHECK(at_once || fabs(before_m_s - r.shown.setpoint_linear_m_s - 1.5e-3) < 1e-9);
             }
         }
@@ -169,7 +169,7 @@ static void a_suspend_and_a_bad_time_step_are_reported_without_their_consequence
         CHECK(r.shown.faults == FAULT_TIME_STEP && r.shown.dt_s == 0.0 && zero(&r) &&
               r.shown.armed == 0);
     }
-    /* after a pause the ramp continues by a tenth of a second */
+    /* after a pause the ramp continues by 0.1 s */
     config.limits.linear = (axis_limits){10.0, 1.0, 1.5, INFINITY};
     start(&r, &config);
     tick(&r);
@@ -185,7 +185,7 @@ static void a_suspend_and_a_bad_time_step_are_reported_without_their_consequence
     CHECK(fabs(r.shown.setpoint_linear_m_s - 0.15) < 1e-12);
 }
 
-/* A drive that was off when it last reported has not been switched off since. */
+/* Feedback from before the arming does not show that the drive lost its power later. */
 static void a_drive_that_is_off_counts_only_after_the_base_is_armed(void)
 {
     core_config config = good_config();
@@ -279,7 +279,7 @@ static void a_reset_clears_faults_when_every_cause_is_gone_and_never_arms(void)
     r.input.control.fault = 0;
     r.input.command.linear_m_s = 0.0;
     r.input.control.reset_count++;
-    /* it is still on its ramp */
+    /* the base is still on its ramp */
     CHECK(tick(&r)->faults == FAULT_EXTERNAL && r.shown.setpoint_linear_m_s > 0.3);
     ticks(&r, 1000);
     CHECK(r.shown.faults == FAULT_EXTERNAL && r.shown.at_rest == 1); /* each count is one request */
@@ -287,7 +287,8 @@ static void a_reset_clears_faults_when_every_cause_is_gone_and_never_arms(void)
     r.input.feedback[1].velocity_rad_s = 0.05;
     CHECK(step(&r)->at_rest == 0);
     r.input.control.reset_count++;
-    CHECK(tick(&r)->faults == FAULT_EXTERNAL && r.shown.at_rest == 1); /* a wheel was turning */
+    CHECK(tick(&r)->faults == FAULT_EXTERNAL && r.shown.at_rest == 1); /* a wheel was turning in the
+                                                                          last tick */
     r.input.control.reset_count++;
     CHECK(tick(&r)->faults == 0);
 }

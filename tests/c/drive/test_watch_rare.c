@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_watch_rare: several causes in one tick, a second fault after a first, and requests in the
- * middle of a move. */
+ * test_watch_rare: several causes in one tick, a second fault after a first one, and requests in
+ * the middle of a move. */
 #include "core_rig.h"
 
 static void all_causes_of_one_tick_are_reported(void)
@@ -22,7 +22,7 @@ static void all_causes_of_one_tick_are_reported(void)
     CHECK(zero(&r) && r.shown.armed == 0);
 }
 
-/* One cause that is still there keeps all that is latched. */
+/* If one cause persists, all latched faults stay. */
 static void a_reset_during_an_emergency_stop_clears_nothing(void)
 {
     core_config config = good_config();
@@ -45,8 +45,8 @@ static void a_reset_during_an_emergency_stop_clears_nothing(void)
     CHECK(tick(&r)->faults == 0);
 }
 
-/* The wheels keep turning: the brake needs its power for the whole time, to the nanosecond, at
- * the second fault as well. */
+/* While the wheels keep turning, the brake has its power for the whole time, exact to 1 ns, also in
+ * a second fault. */
 static void each_brake_holds_its_power_for_two_seconds(void)
 {
     core_config config = good_config();
@@ -82,7 +82,7 @@ static void each_brake_holds_its_power_for_two_seconds(void)
     }
 }
 
-/* Nothing new was received: the tick in which that has lasted too long reports it. */
+/* No feedback arrives. The tick in which the last one is too old reports that. */
 static void feedback_that_grows_old_is_stale_in_the_tick_in_which_it_is(void)
 {
     core_config config = good_config();
@@ -104,7 +104,7 @@ static void the_pose_is_zero_in_the_tick_of_the_reset_and_the_base_keeps_moving(
     CHECK(r.shown.x_m > 0.1);
     r.stale = true;
     r.input.control.odometry_reset_count = 1;
-    r.input.control.reset_count = 3; /* of no fault */
+    r.input.control.reset_count = 3; /* no fault is latched */
     CHECK(tick(&r)->odometry_epoch == 1 && r.shown.x_m == 0.0);
     CHECK(r.shown.setpoint_linear_m_s == 0.4 && r.shown.reasons == 0 && r.shown.faults == 0);
 }
@@ -123,7 +123,8 @@ static void limits_that_differ_in_one_bit_are_different_limits(void)
     CHECK(ticks(&r, 100)->setpoint_linear_m_s == 0.5);
 }
 
-/* Also not one that has been off since before the base was armed. */
+/* A drive of no joint of the base, and a wheel whose drive reported "off" before the arming, cause
+ * no fault. */
 static void a_drive_outside_of_the_base_causes_no_fault(void)
 {
     core_config config = good_config();

@@ -10,7 +10,7 @@
 enum { PAN, BELT, TILT };
 static const double DT_S = 0.01;
 
-/* The joints, as they are after a halt. */
+/* Joints and their state; `begin_with` starts them as after a halt. */
 typedef struct {
     core_config config;
     joints_state joints;

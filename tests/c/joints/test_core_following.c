@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_core_following: joints that take positions and are not where their set-points are. */
+ * test_core_following: joints that take positions and do not follow their set-points. */
 #include "steered_bases.h"
 
 static rig r;
@@ -15,7 +15,7 @@ static core_config watched(core_config config)
     return config;
 }
 
-/* Joint j stays where it was at first, for this time or until that is a fault. */
+/* Joint j stays at its position for `most_ms`, or until that is a fault. */
 static void stuck(uint32_t j, double at_rad, int most_ms)
 {
     for (int ms = 0; ms < most_ms && r.shown.faults == 0; ms++) {
@@ -24,7 +24,7 @@ static void stuck(uint32_t j, double at_rad, int most_ms)
     }
 }
 
-/* Its set-point moves on, slowly, when that is seen. */
+/* The set-point still moves, slowly, in the tick of the fault. */
 static void a_stuck_joint_is_a_fault_with_its_wanted_and_measured_angle(void)
 {
     core_config config = watched(head_and_belt());
@@ -57,7 +57,7 @@ static void the_first_of_several_stuck_joints_is_named(void)
     CHECK(r.shown.doubt.fault == FAULT_FOLLOWING_ERROR && ticks(&r, 500)->doubt.joint == 0);
 }
 
-/* The hand is faster than a drive could ever be. */
+/* A person turns the joint, faster than its drive can. */
 static void turned_by_hand(int milliseconds)
 {
     for (int ms = 0; ms < milliseconds; ms++) {
@@ -66,7 +66,8 @@ static void turned_by_hand(int milliseconds)
     }
 }
 
-/* Also of a robot of which nothing else moves: no fault, and none when it gets its power again. */
+/* There is no fault without power, nor when the joint gets its power again. The robot has no other
+ * joint. */
 static void a_joint_without_power_may_be_turned_by_hand(void)
 {
     core_config config = watched(head_and_belt());
@@ -77,7 +78,7 @@ static void a_joint_without_power_may_be_turned_by_hand(void)
     CHECK(tick(&r)->armed == 1);
     r.input.joints = (joint_command){.named = 1, .value_u = {0.9}};
     stuck(0, r.position_rad[0], 500);
-    CHECK(r.shown.faults == 0 && r.state.steer.following[0].since_ns != 0); /* nearly */
+    CHECK(r.shown.faults == 0 && r.state.steer.following[0].since_ns != 0); /* nearly a fault */
     r.input.joints.named = 0;
     r.input.control.armed = 0;
     turned_by_hand(1000);
@@ -87,7 +88,7 @@ static void a_joint_without_power_may_be_turned_by_hand(void)
     CHECK(r.shown.armed == 1);
 }
 
-/* It turns at a fifteenth of the speed of its set-point. */
+/* The joint turns at a fifteenth of the speed of its set-point. */
 static void a_joint_that_is_only_slow_follows(void)
 {
     core_config config = watched(bicycle());
@@ -105,7 +106,7 @@ static void a_joint_that_is_only_slow_follows(void)
     }
 }
 
-/* Where it is, is not known: that is another fault, and the only one. */
+/* The position of the joint is unknown, which is another fault, and the only one. */
 static void a_joint_whose_feedback_is_lost_is_not_stuck(void)
 {
     static const stop_action ACTIONS[] = {STOP_RAMP, STOP_BRAKE, STOP_HOLD};
@@ -126,7 +127,7 @@ static void a_joint_whose_feedback_is_lost_is_not_stuck(void)
     }
 }
 
-/* Also of one that measures nothing, and in either direction. */
+/* Cases: a joint with and without measurement, in both directions. */
 static void a_joint_that_follows_may_be_anywhere(void)
 {
     for (uint32_t i = 0; i < 4; i++) {

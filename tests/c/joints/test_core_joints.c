@@ -15,7 +15,7 @@ static void joints_move_independently_and_no_base_is_measured(void)
     ready(&r, &config);
     r.input.control.armed = 1;
     CHECK(tick(&r)->armed == 1 && r.out.positioned == 5);
-    r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.5; /* a twist moves none */
+    r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.5; /* a twist moves no joint */
     CHECK(ticks(&r, 100)->at_rest == 1 && zero(&r) && r.out.position_rad[0] == 0.0 &&
           r.out.position_rad[2] == 0.0);
     ask(&r, 3, 1.0, -4.0);
@@ -53,7 +53,7 @@ static void every_stop_of_joints_ends_at_rest_and_leaves_no_target(void)
         bool at_once = ACTIONS[i] == STOP_BRAKE || ACTIONS[i] == STOP_COAST;
         CHECK((r.out.joint[1].velocity_rad_s == 0.0) == at_once &&
               (r.out.joint[0].velocity_rad_s == 0.0) == at_once);
-        /* no jerk limit in a fault */
+        /* without a jerk limit in a fault */
         CHECK(at_once || close_to(before_rad_s - r.out.joint[1].velocity_rad_s, 0.016));
         ticks(&r, 2500);
         CHECK(zero(&r) && r.out.enabled == (ACTIONS[i] == STOP_HOLD ? 1 : 0));
@@ -84,7 +84,7 @@ static void a_late_tick_of_joints_is_a_step_of_a_tenth_of_a_second(void)
     }
 }
 
-/* Its set-point is not clamped to the end of the range: it moves there at its speed. */
+/* The set-point is not clamped to the end of the range, but moves there at its speed. */
 static void a_late_tick_takes_no_set_point_past_its_goal(void)
 {
     const core_config config = head_and_belt();
@@ -123,7 +123,7 @@ static void a_target_requires_power_a_finite_command_and_its_lease(void)
     tick(&r);
     ask(&r, 3, 1.0, 2.0);
     ticks(&r, 100);
-    r.input.control.owner = 5; /* another lease: it stops */
+    r.input.control.owner = 5; /* another lease: the joints stop */
     ask(&r, 0, 0.0, 0.0);
     ticks(&r, 600);
     double held_rad = r.out.position_rad[0];
@@ -146,7 +146,7 @@ static void joints_of_which_one_begins_to_move_are_not_at_rest(void)
 {
     for (uint32_t moves = 0; moves < 3; moves++) {
         core_config config = head_and_belt();
-        config.joint[0] = config.joint[1]; /* two belts */
+        config.joint[0] = config.joint[1]; /* the first joint becomes a belt, too */
         rig r;
         ready(&r, &config);
         r.input.control.armed = 1;
@@ -175,7 +175,7 @@ static void joints_are_armed_without_a_command_that_moves_one(void)
     }
 }
 
-/* It is where it is measured, and begins there. */
+/* The joint's set-point begins at its measured position. */
 static void without_power_a_joint_is_where_it_was_moved_to(void)
 {
     core_config config = head_and_belt();
@@ -198,8 +198,8 @@ static void without_power_a_joint_is_where_it_was_moved_to(void)
     }
 }
 
-/* Without power nothing of the set-point is left, on the page either, and the next move begins
- * at zero. */
+/* Without power there is no set-point, neither for the drive nor on the state page. The next move
+ * begins at zero. */
 static void without_power_a_belt_has_no_set_point_left(void)
 {
     core_config config = head_and_belt();
@@ -211,7 +211,7 @@ static void without_power_a_belt_has_no_set_point_left(void)
     CHECK(ticks(&r, 1000)->joint[1].setpoint_rad_s == 4.0 &&
           close_to(r.shown.joint[1].duty, 4.0 / 60.0));
     r.input.control.armed = 0;
-    r.stale = true; /* also in a tick in which nothing is measured */
+    r.stale = true; /* also in a tick without a measurement */
     tick(&r);
     CHECK(r.out.enabled == 0 && zero(&r) && r.shown.joint[1].setpoint_rad_s == 0.0 &&
           r.shown.joint[1].duty == 0.0);
@@ -244,7 +244,7 @@ static void limits_of_joints_that_change_while_they_move_are_kept_from_then_on(v
     for (int j = 0; j < 3; j++) {
         r.input.control.joint_limits[j] = (axis_limits){1.5, 10.0, 16.0, INFINITY};
     }
-    /* they have no number of their own yet */
+    /* without a new count they do not apply */
     CHECK(ticks(&r, 500)->joint[1].setpoint_rad_s == 4.0);
     r.input.control.joint_limits_count++;
     CHECK(ticks(&r, 1000)->joint[1].setpoint_rad_s == 1.5 &&
@@ -272,7 +272,7 @@ static void the_full_number_of_joints_move(void)
     }
 }
 
-/* Belts 0 and 2; only the first would need more duty than it may get. */
+/* Of belts 0 and 2, only the first one would need more duty than its limit. */
 static void a_belt_whose_duty_is_clamped_is_named(void)
 {
     core_config config = heads_and_belts();
@@ -293,7 +293,7 @@ static void a_belt_whose_duty_is_clamped_is_named(void)
 static void a_belt_whose_duty_grows_slowly_is_named(void)
 {
     core_config config = head_and_belt();
-    config.joint[1].pwm.slew_per_s = 0.1; /* 6 rad/s a second */
+    config.joint[1].pwm.slew_per_s = 0.1; /* 6 rad/s of the belt in a second */
     rig r;
     ready(&r, &config);
     r.input.control.armed = 1;
@@ -303,7 +303,8 @@ static void a_belt_whose_duty_grows_slowly_is_named(void)
           r.shown.reason.duty_clamped == 0);
 }
 
-/* Of one joint: nothing arms, and where it moves, all come to rest. */
+/* If the position of one joint is unknown, nothing is armed. If that happens during motion, all
+ * joints come to rest. */
 static void a_joint_without_a_known_position_does_not_move(void)
 {
     core_config config = head_and_belt();
@@ -344,7 +345,7 @@ static void a_warm_belt_is_derated_and_a_cold_one_is_not(void)
     }
 }
 
-/* The numbers of one tick are checked, also where the next set-point hides them. */
+/* The numbers of a tick are checked even if the next set-point would replace them. */
 static void a_duty_that_is_not_finite_is_a_fault_of_a_belt_too(void)
 {
     core_config config = head_and_belt();
@@ -369,7 +370,7 @@ static void a_lost_command_of_joints_is_a_reason_beside_their_own(void)
     ticks(&r, 1000);
     r.mute = true;
     CHECK(ticks(&r, 302)->reasons == (REASON_COMMAND_STALE | REASON_JOINT_ACCELERATION));
-    r.stale = true; /* and feedback that is lost is missing where there is no base, too */
+    r.stale = true; /* lost feedback is reported also without a base */
     CHECK(ticks(&r, 260)->odometry_degraded == 1);
 }
 

@@ -1,14 +1,14 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_independent: joints without a base, one step of each by its own limits. */
+ * test_independent: single steps of joints without a base, each with its own limits. */
 #include "joints_rig.h"
 
-/* --- what is requested */
+/* --- commands */
 static void a_command_counts_where_it_names_a_joint(void)
 {
     core_config config = head_and_belt();
     joint_command command = {.value_u = {NAN, INFINITY, -INFINITY, NAN}};
     CHECK(joint_command_finite(&command, &config) && joint_command_zero(&command, &config));
-    command.named = 8; /* no joint of it */
+    command.named = 8; /* beyond the joints of the robot */
     CHECK(joint_command_finite(&command, &config) && joint_command_zero(&command, &config));
     for (uint32_t j = 0; j < 3; j++) {
         command.named = 1U << j;
@@ -24,7 +24,7 @@ static void a_command_counts_where_it_names_a_joint(void)
     }
     command.value_u[BELT] = 0.0;
     CHECK(joint_command_zero(&command, &config));
-    command.named |= 1U << PAN; /* an angle is a motion, also that of 0 */
+    command.named |= 1U << PAN; /* any position is a motion, also 0 */
     command.value_u[PAN] = 0.0;
     CHECK(!joint_command_zero(&command, &config) && joint_command_finite(&command, &config));
 }
@@ -44,7 +44,7 @@ static void a_belt_ramps_by_its_own_limits(void)
     CHECK(step_joints(&r, 38) == REASON_JOINT_ACCELERATION && step_joints(&r, 1) == 0);
     CHECK(step_joints(&r, 1) == 0 && r.velocity_rad_s[BELT] == -4.0 &&
           r.joints.velocity_rad_s[BELT] == -4.0);
-    r.command.named = 0; /* left out, it comes to rest */
+    r.command.named = 0; /* not named any more: the belt comes to rest */
     CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION &&
           close_to(r.velocity_rad_s[BELT], -3.84));
     CHECK(step_joints(&r, 30) == 0 && r.velocity_rad_s[BELT] == 0.0);
@@ -112,7 +112,7 @@ static void a_head_goes_to_its_target_within_its_range(void)
         position_step(&expected, &r.config.joint[PAN].position, CASES[i].expected_rad, DT_S);
         CHECK(angle(&r, PAN) == expected.position_rad &&
               r.steer.profile[PAN].velocity_rad_s == expected.velocity_rad_s);
-        r.command.named = 0; /* left out, it continues */
+        r.command.named = 0; /* not named any more: the move continues */
         CHECK(step_joints(&r, 200) == CASES[i].reasons && angle(&r, PAN) == CASES[i].expected_rad);
         CHECK(angle(&r, TILT) == 0.0 && isnan(r.joints.target_rad[TILT]));
     }
@@ -167,20 +167,22 @@ static void a_head_waits_until_its_position_is_certain(void)
     CHECK(angle(&r, TILT) == 0.0 && r.steer.unsure_s[PAN] == 0.0);
     step_joints(&r, 200);
     CHECK(angle(&r, TILT) == 0.5);
-    r.input.dt_s = 0.0; /* no time, no step */
+    r.input.dt_s = 0.0; /* without time there is no step */
     command(&r, TILT, -0.5);
     r.steer.profile[TILT].velocity_rad_s = 0.2;
     step_joints(&r, 1);
     CHECK(angle(&r, TILT) == 0.5 && r.steer.profile[TILT].velocity_rad_s == 0.2);
 }
 
-/* From within its range it does not leave it; from beyond it comes back at its own speed. */
+/* A joint that is within its range does not leave it. From beyond the range it returns at its own
+ * speed. */
 static void a_head_ends_within_its_range(void)
 {
     for (int sign = -1; sign <= 1; sign += 2) {
         joints_rig r;
         begin(&r);
-        r.steer.profile[PAN] = (position_profile){sign * 1.999, sign * 3.0}; /* too fast to brake */
+        r.steer.profile[PAN] = (position_profile){sign * 1.999, sign * 3.0}; /* too fast to brake
+                                                                                before the end */
         command(&r, PAN, sign * 2.0);
         step_joints(&r, 1);
         CHECK(angle(&r, PAN) == sign * 2.0);
@@ -200,7 +202,7 @@ static void after_a_halt_all_joints_stand_and_have_no_target(void)
     command(&r, PAN, 1.5), command(&r, BELT, 4.0), command(&r, TILT, 0.5);
     step_joints(&r, 10);
     double pan_rad = angle(&r, PAN);
-    r.steer.profile[3].velocity_rad_s = 7.0; /* of no joint */
+    r.steer.profile[3].velocity_rad_s = 7.0; /* beyond the joints of the robot */
     independent_halt(&r.joints, &r.steer, &r.config);
     for (int j = 0; j < JOINTS_MAX; j++) {
         CHECK(isnan(r.joints.target_rad[j]) && r.joints.velocity_rad_s[j] == 0.0 &&

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_independent_limits: limits of joints without a base that change at run time, and the
- * reasons named by joint. */
+ * test_independent_limits: limits of joints without a base that change at run time, and reasons
+ * that name joints. */
 #include "joints_rig.h"
 
 static bool same(const axis_limits *limits, axis_limits expected)
@@ -28,7 +28,8 @@ static void the_limits_at_the_start_are_those_of_the_file(void)
         CHECK(same(&limits[PAN], (axis_limits){3.0, 40.0, 40.0, INFINITY}));
         CHECK(same(&limits[BELT], (axis_limits){RANGES_RAD_S[i][2], 10.0, 16.0, 70.0}));
         CHECK(same(&limits[TILT], (axis_limits){3.0, 40.0, 40.0, INFINITY}));
-        CHECK(same(&limits[3], (axis_limits){7.0, 7.0, 7.0, 7.0})); /* of no joint */
+        CHECK(same(&limits[3], (axis_limits){7.0, 7.0, 7.0, 7.0})); /* beyond the joints of the
+                                                                       robot */
     }
 }
 
@@ -67,8 +68,8 @@ static void limits_are_applied_once_for_each_count(void)
     control->joint_limits_count++;
     independent_take_limits(&r.state, control);
     CHECK(in_force(&r, 0.7) && r.state.joint_limits_seen == 2);
-    control->joint_limits_count = 0;             /* any other number is a change */
-    control->joint_limits[3].velocity_u_s = NAN; /* of no joint */
+    control->joint_limits_count = 0;             /* any other count is a change */
+    control->joint_limits[3].velocity_u_s = NAN; /* beyond the joints of the robot */
     control->joint_limits[BELT].velocity_u_s = 0.3;
     independent_take_limits(&r.state, control);
     CHECK(r.state.joint_limits[BELT].velocity_u_s == 0.3 &&
@@ -95,7 +96,7 @@ static void where_one_limit_is_out_of_range_all_stay_as_they_are(void)
         independent_take_limits(&r.state, control);
         bool no_jerk_limit = place == 3 && isinf(bad);
         CHECK(in_force(&r, no_jerk_limit ? 0.7 : 1.5));
-        *fields[place] = 1.0; /* good only now: they have been refused under this count */
+        *fields[place] = 1.0; /* too late: the limits with this count have been refused */
         independent_take_limits(&r.state, control);
         CHECK(in_force(&r, no_jerk_limit ? 0.7 : 1.5));
     }
@@ -109,11 +110,12 @@ static void a_head_at_rest_moves_by_its_new_limits(void)
     command(&r, PAN, 2.0), command(&r, TILT, 0.8);
     r.limits[PAN] = (axis_limits){1.0, 4.0, 4.0, INFINITY};
     step_joints(&r, 1);
-    CHECK(close_to(speed(&r, PAN), 0.04) && close_to(speed(&r, TILT), 0.4)); /* each by its own */
+    CHECK(close_to(speed(&r, PAN), 0.04) && close_to(speed(&r, TILT), 0.4)); /* each by its own
+                                                                                limits */
     CHECK(r.joints.braking_rad_s2[PAN] == 4.0 && r.joints.braking_rad_s2[TILT] == 40.0);
     step_joints(&r, 60);
     CHECK(speed(&r, PAN) == 1.0);
-    r.limits[PAN] = (axis_limits){2.0, 8.0, 8.0, INFINITY}; /* raised while it moves */
+    r.limits[PAN] = (axis_limits){2.0, 8.0, 8.0, INFINITY}; /* raised during the move */
     step_joints(&r, 1);
     CHECK(close_to(speed(&r, PAN), 1.08) && r.joints.braking_rad_s2[PAN] == 8.0);
     step_joints(&r, 300);
@@ -154,15 +156,16 @@ static void a_head_gets_down_to_a_lowered_speed_by_deceleration(void)
     }
 }
 
-/* A joint that moves is given 0.8 rad/s^2, where it could brake with 40: from 0.2 rad/s it needs
- * 0.025 rad and 0.002 rad of the step, from 0.05 rad/s 0.0020625 rad. Its range is -1 to 2 rad. */
+/* A moving joint gets a limit of 0.8 rad/s^2 instead of 40. To brake from 0.2 rad/s it needs 0.025
+ * rad, and 0.002 rad in this step; from 0.05 rad/s it needs 0.0020625 rad. Its range is -1 to 2
+ * rad. */
 static void a_lowered_acceleration_is_taken_as_soon_as_it_is_enough(void)
 {
     static const struct {
         double from_rad, velocity_rad_s, target_rad;
         bool enough;
     } CASES[] = {
-        /* before its goal */
+        /* cases before the goal */
         {0.5, 0.2, 0.5271, true},
         {0.5, 0.2, 0.5269, false},
         {0.5, -0.2, 0.4729, true},
@@ -172,16 +175,16 @@ static void a_lowered_acceleration_is_taken_as_soon_as_it_is_enough(void)
         {0.5, -0.05, 0.49793, true},
         {0.5, -0.05, 0.49795, false},
         {0.5, 2.0, 1.9, false},
-        {0.5, 0.2, 0.5, false}, /* it passes it now */
+        {0.5, 0.2, 0.5, false}, /* passes its goal in this step */
         {0.5, -0.2, 0.5, false},
-        /* its goal is passed: before the end of its range */
+        /* cases behind the goal, before the end of the range */
         {0.5, 0.2, 0.4, true},
         {0.5, -0.2, 0.6, true},
         {1.9729, 0.2, 1.0, true},
         {1.9731, 0.2, 1.0, false},
         {-0.9729, -0.2, 0.0, true},
         {-0.9731, -0.2, 0.0, false},
-        /* without a goal, too */
+        /* cases without a goal */
         {1.9729, 0.2, NAN, true},
         {1.9731, 0.2, NAN, false},
         {-0.9729, -0.2, NAN, true},
@@ -192,7 +195,7 @@ static void a_lowered_acceleration_is_taken_as_soon_as_it_is_enough(void)
         {-0.998, -0.05, NAN, false},
         {1.0, 0.2, NAN, true},
         {-0.5, -0.2, NAN, true},
-        /* a goal beyond the end is the end */
+        /* a goal beyond the end of the range counts as the end */
         {1.9729, 0.2, 9.0, true},
         {1.9731, 0.2, 9.0, false},
     };
@@ -236,7 +239,7 @@ static void while_a_head_keeps_its_old_braking_it_gets_no_faster(void)
         step_joints(&r, 1);
         r.steer.profile[PAN] = (position_profile){0.0, sign * 0.2};
         r.limits[PAN].acceleration_u_s2 = 0.8;
-        command(&r, PAN, sign * 0.0269); /* with 40 rad/s^2 there is time to go faster */
+        command(&r, PAN, sign * 0.0269); /* 40 rad/s^2 would leave time to speed up */
         step_joints(&r, 1);
         CHECK(close_to(speed(&r, PAN), sign * 0.2) && close_to(angle(&r, PAN), sign * 0.002));
         double fastest_rad_s = 0.0;
@@ -256,13 +259,13 @@ static void a_raised_acceleration_is_taken_at_once(void)
     r.limits[PAN].acceleration_u_s2 = 0.8;
     step_joints(&r, 1);
     r.steer.profile[PAN] = (position_profile){0.0, 3.0};
-    r.limits[PAN].acceleration_u_s2 = 20.0; /* not enough either */
+    r.limits[PAN].acceleration_u_s2 = 20.0; /* too low for this goal, too */
     command(&r, PAN, 0.1);
     step_joints(&r, 1);
     CHECK(r.joints.braking_rad_s2[PAN] == 20.0 && close_to(speed(&r, PAN), 2.8));
 }
 
-/* What has not changed is no limit that it waits for: only the derating slows it. */
+/* An unchanged acceleration limits no speed; only the derating does. */
 static void an_acceleration_that_stays_bounds_no_speed(void)
 {
     joints_rig r;
@@ -270,7 +273,7 @@ static void an_acceleration_that_stays_bounds_no_speed(void)
     step_joints(&r, 1);
     r.steer.profile[PAN] = (position_profile){0.0, 1.0};
     r.input.factor = 0.5;
-    command(&r, PAN, 0.02); /* 1.5 rad/s by its derating: it brakes for its goal alone */
+    command(&r, PAN, 0.02); /* derated to 1.5 rad/s, so that only the goal slows it */
     step_joints(&r, 1);
     position_profile expected = {0.0, 1.0};
     position_step(&expected, &r.config.joint[PAN].position, 0.02, DT_S);
@@ -283,7 +286,8 @@ static void a_head_at_rest_takes_a_lowered_acceleration_wherever_it_is(void)
         joints_rig r;
         begin(&r);
         step_joints(&r, 1);
-        r.steer.profile[PAN] = (position_profile){sign * 2.5, 0.0}; /* by hand, beyond its range */
+        r.steer.profile[PAN] = (position_profile){sign * 2.5, 0.0}; /* moved by hand beyond the
+                                                                       range */
         r.limits[PAN].acceleration_u_s2 = 0.8;
         step_joints(&r, 1);
         CHECK(r.joints.braking_rad_s2[PAN] == 0.8 && angle(&r, PAN) == sign * 2.5);
@@ -293,7 +297,8 @@ static void a_head_at_rest_takes_a_lowered_acceleration_wherever_it_is(void)
     }
 }
 
-/* Lowered at any time of a move, it passes neither goal nor range, and ends there. */
+/* Limits are lowered at any time of a move: the joint passes neither its goal nor its range, and
+ * ends at the goal. */
 static void a_head_whose_limits_are_lowered_in_a_move_does_not_overshoot(void)
 {
     static const double TARGETS_RAD[] = {0.2, 1.0, 2.0, -0.3, -2.0};
@@ -333,7 +338,7 @@ static void a_belt_keeps_limits_that_change_while_it_moves_and_at_rest(void)
         CHECK(close_to(r.velocity_rad_s[BELT], sign * 5.96));
         CHECK(step_joints(&r, 120) == REASON_JOINT_VELOCITY &&
               r.velocity_rad_s[BELT] == sign * 2.0);
-        r.limits[BELT].velocity_u_s = 80.0; /* no more than its file's */
+        r.limits[BELT].velocity_u_s = 80.0; /* the limit of the file is lower */
         command(&r, BELT, sign * 50.0);
         CHECK(step_joints(&r, 300) == REASON_JOINT_VELOCITY &&
               r.velocity_rad_s[BELT] == sign * 8.0);
@@ -365,7 +370,7 @@ static void limits_changed_without_power_hold_from_the_first_motion_on(void)
     CHECK(r.out.position_rad[PAN] == 1.0 && r.out.position_rad[TILT] == 0.7 && r.shown.faults == 0);
 }
 
-/* --- reasons by joint: belts are the even ones, heads the odd ones */
+/* --- reasons by joint: even joints are belts, odd ones are heads */
 static bool named_are(const joints_rig *r, uint32_t velocity, uint32_t acceleration,
                       uint32_t position)
 {
@@ -404,7 +409,7 @@ static void several_joints_of_one_reason_are_all_named(void)
     CHECK(named_are(&r, 0x14, 0x15, 0x22));
     CHECK(step_joints(&r, 1000) == (REASON_JOINT_VELOCITY | REASON_JOINT_POSITION));
     CHECK(named_are(&r, 0x14, 0, 0x22));
-    r.input.command = NULL; /* all come to rest */
+    r.input.command = NULL; /* all belts come to rest */
     CHECK(step_joints(&r, 1) == REASON_JOINT_ACCELERATION && named_are(&r, 0, 0x15, 0));
     CHECK(step_joints(&r, 1000) == 0 && named_are(&r, 0, 0, 0));
 }
@@ -414,7 +419,8 @@ static void names_of_the_tick_before_are_not_kept(void)
     joints_rig r;
     begin(&r);
     r.named.joint_velocity = r.named.joint_acceleration = r.named.joint_position = ~0U;
-    r.named.duty_clamped = r.named.duty_slew = r.named.saturated_joint = 9; /* of others */
+    r.named.duty_clamped = r.named.duty_slew = r.named.saturated_joint = 9; /* names that another
+                                                                               part sets */
     CHECK(step_joints(&r, 1) == 0 && named_are(&r, 0, 0, 0));
     CHECK(r.named.duty_clamped == 9 && r.named.duty_slew == 9 && r.named.saturated_joint == 9);
 }

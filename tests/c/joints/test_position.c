@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_position: one step of a joint to an angle against a search that tries it out, whole
- * motions, and whether it follows. */
+ * test_position: single steps of a joint to an angle, compared with the result of a search; whole
+ * motions; and the check of the following error. */
 #include "steered_bases.h"
 
 static const double DT_S = 0.01;
@@ -19,7 +19,8 @@ static position_profile stepped(position_profile profile, const position_config 
     return profile;
 }
 
-/* After a step at this speed its braking distance is no longer than the rest of the path. */
+/* The largest speed of a step after which the braking distance is no longer than the rest of the
+ * path. */
 static double largest_that_brakes(double left_rad, double acceleration_rad_s2)
 {
     double low = 0.0, high = 2.0 * left_rad / DT_S;
@@ -45,7 +46,7 @@ static void a_joint_brakes_as_late_as_possible(void)
     }
 }
 
-/* A step of any time: as an early tick, as the loop's period, as a late tick. */
+/* A time step as of an early, a regular or a late tick. */
 static double any_time_s(void)
 {
     double choice = any(0.0, 1.0);
@@ -77,7 +78,7 @@ static void a_goal_is_not_passed_for_any_length_of_its_steps(void)
     }
 }
 
-/* Its goals change and end while it moves: each is within the range, and so is its braking
+/* Goals change and end during the move. Each is within the range, and so is the braking
  * distance. */
 static void a_range_is_not_left_for_any_length_of_its_steps(void)
 {
@@ -117,7 +118,7 @@ static void a_motion_takes_the_shortest_time_and_ends_exactly_at_its_goal(void)
         }
         double shortest_s =
             distance_rad * a > v * v ? distance_rad / v + v / a : 2.0 * sqrt(distance_rad / a);
-        /* the last distance, less than a dt^2, takes some more steps */
+        /* the last distance, which is less than a dt^2, takes some more steps */
         double last_s = (5.0 + 0.5 * log(1.0 + v / (a * DT_S))) * DT_S;
         CHECK(steps * DT_S >= shortest_s - DT_S && steps * DT_S <= shortest_s + last_s);
     }
@@ -128,29 +129,29 @@ static void single_steps_have_the_expected_numbers(void)
     static const struct {
         double from_rad, from_rad_s, goal_rad, to_rad, to_rad_s;
     } CASES[] = {
-        /* 2 rad/s, and 10 rad/s2: 0.1 rad/s a step */
+        /* limits of 2 rad/s and 10 rad/s2: a step changes the speed by 0.1 rad/s */
         {0.0, 0.0, 1.0, 0.001, 0.1},
         {0.0, 0.0, -1.0, -0.001, -0.1},
         {0.0, 0.0, 0.1, 0.001, 0.1},
         {0.0, 2.0, 1.0, 0.02, 2.0},
         {0.0, 1.95, 1.0, 0.02, 2.0},
-        {0.0, 3.0, 1.0, 0.029, 2.9}, /* it was faster before */
+        {0.0, 3.0, 1.0, 0.029, 2.9}, /* it is above its limit */
         {0.5, 0.0, 0.5, 0.5, 0.0},
         {0.5, 0.05, 0.5, 0.5, 0.0},
         {0.5, -0.1, 0.5, 0.5, 0.0},
         /* v dt + v^2 / 2 a = 0.0005 */
         {0.0, 0.0, 0.0005, 0.0004142135623730951, 0.04142135623730951},
-        {0.0, 0.0, 1e-20, 1e-20, 1e-18}, /* within rounding of where it is */
-        {0.0, 1.0, 0.001, 0.009, 0.9},   /* nearer than it can brake: it passes it */
+        {0.0, 0.0, 1e-20, 1e-20, 1e-18}, /* nearer than rounding */
+        {0.0, 1.0, 0.001, 0.009, 0.9},   /* too near to brake: it passes the goal */
         {0.0, 0.3, 0.0015, 0.002, 0.2},
-        {0.0, -1.0, 1.0, -0.009, -0.9}, /* away from it: it brakes first */
-        {0.0, 1.0, NAN, 0.009, 0.9},    /* no goal: it brakes */
+        {0.0, -1.0, 1.0, -0.009, -0.9}, /* moves away from the goal: it brakes first */
+        {0.0, 1.0, NAN, 0.009, 0.9},    /* without a goal: it brakes */
         {0.0, 0.05, NAN, 0.0, 0.0},
         {0.0, -1.0, INFINITY, -0.009, -0.9},
         {0.0, 1.0, INFINITY, 0.009, 0.9},
         {0.0, 0.0, INFINITY, 0.0, 0.0},
         {0.0, 0.0, -INFINITY, 0.0, 0.0},
-        /* a joint with NaN stands */
+        /* a joint with NaN or infinity stops */
         {0.3, NAN, 1.0, 0.3, 0.0},
         {0.3, INFINITY, 1.0, 0.3, 0.0},
     };
@@ -164,7 +165,7 @@ static void single_steps_have_the_expected_numbers(void)
     CHECK(stepped((position_profile){0.0, 0.0}, &own, 1e-20, DT_S).position_rad == 1e-20);
     CHECK(isnan(stepped((position_profile){NAN, 1.0}, &own, 0.0, DT_S).position_rad));
     CHECK(stepped((position_profile){NAN, 1.0}, &own, 0.0, DT_S).velocity_rad_s == 0.0);
-    /* arrived, but too fast to stop in one step: it overshoots, and comes back */
+    /* at the goal, but too fast to stop in one step: it overshoots and returns */
     position_profile passes = stepped((position_profile){0.0, 1.0}, &own, 0.009, DT_S);
     CHECK(passes.velocity_rad_s > 0.89);
 }
@@ -191,13 +192,13 @@ static void a_time_step_that_is_not_positive_and_finite_moves_nothing(void)
         position_profile profile = stepped((position_profile){0.3, 1.0}, &own, 1.0, TIMES_S[i]);
         CHECK(profile.position_rad == 0.3 && profile.velocity_rad_s == 0.0);
     }
-    /* the longest there is */
+    /* the longest valid step */
     position_profile profile = stepped((position_profile){0.0, 0.0}, &own, 1e9, 1e9);
     CHECK(profile.position_rad > 0.999e9 && profile.position_rad < 1e9 &&
           close_to(profile.velocity_rad_s, 1.0));
 }
 
-/* --- does it follow? */
+/* --- following error */
 static const int64_t FIRST_NS = 5000000000;
 
 static void a_joint_follows_while_it_is_near_or_comes_nearer(void)
@@ -206,14 +207,14 @@ static void a_joint_follows_while_it_is_near_or_comes_nearer(void)
     own.following_rad = 0.2, own.following_s = 0.5;
     position_following following = {0, 0.0};
     CHECK(position_follows(&following, &own, 0.2, 0.0, FIRST_NS) && following.since_ns == 0);
-    /* it may lag by 0.25 s */
+    /* a set-point of 1 rad/s allows a lag of 0.25 s more */
     CHECK(position_follows(&following, &own, 0.445, 1.0, FIRST_NS) && following.since_ns == 0);
     CHECK(position_follows(&following, &own, 0.445, -1.0, FIRST_NS) && following.since_ns == 0);
     CHECK(position_follows(&following, &own, NAN, 0.0, FIRST_NS) && following.since_ns == 0);
     CHECK(position_follows(&following, &own, 0.46, 1.0, FIRST_NS) &&
           following.since_ns == FIRST_NS);
     CHECK(following.nearest_rad == 0.46);
-    /* by a tenth of what is allowed it comes nearer */
+    /* nearer, but by less than a tenth of what is allowed */
     CHECK(position_follows(&following, &own, 0.441, 0.0, FIRST_NS + 400 * MS_NS) &&
           following.since_ns == FIRST_NS);
     CHECK(position_follows(&following, &own, 0.43, 0.0, FIRST_NS + 450 * MS_NS));

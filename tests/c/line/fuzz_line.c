@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_line.c: a line's machine with random drives, requests and set-points. For any input,
- * motion is sent only to an armed drive and only while the core requests it, the silence is kept,
- * no value is taken from another's answer, each stop ends, and the end comes. */
+ * fuzz_line.c: the machine of a serial line with random drives, requests and set-points. For any
+ * input, motion is sent only to an armed drive and only while the core requests it, the line keeps
+ * its silence, no value is taken from an answer to another request, each stop ends, and the line
+ * ends. */
 #include <math.h>
 
 #include "line_wire.h"
@@ -10,7 +11,7 @@
 #define FUZZ_NAME "fuzz_line"
 enum { FUZZ_MAX = 192, UNITS = 3 };
 
-static int64_t silent_ns; /* since when nothing was on the wire */
+static int64_t silent_ns; /* time since which no byte is on the wire */
 static uint32_t modes[UNITS];
 static uint8_t late[8], late_bytes;
 
@@ -47,7 +48,7 @@ static void requests(uint8_t choice)
     }
 }
 
-/* The answer of an honest drive: its status is 100 + its unit, so that each value names its
+/* The correct answer of a drive. Its status is 100 + its unit, so that each value identifies its
  * drive. */
 static uint32_t honest(const uint8_t *request, uint8_t *out)
 {
@@ -68,11 +69,11 @@ static void answer(const uint8_t *request, uint8_t choice)
     w.count = honest(request, w.bytes);
     switch (choice % 16) {
     case 1: /* nothing */ w.count = 0; break;
-    case 2: /* up to three bits are wrong: CRC-16 sees them all in frames of this length */
+    case 2: /* flips one bit, which CRC-16 always detects */
         w.bytes[next_byte() % w.count] ^= (uint8_t)(1U << next_byte() % 8);
         break;
-    case 3: /* cut off */ w.count = next_byte() % w.count; break;
-    case 4: /* its neighbour answers */
+    case 3: /* a part of the answer */ w.count = next_byte() % w.count; break;
+    case 4: /* another drive answers */
         other[0] = (uint8_t)(1 + request[0] % UNITS);
         rtu_seal(other, 8, SEAL_CRC16);
         w.count = honest(other, w.bytes);
@@ -82,17 +83,17 @@ static void answer(const uint8_t *request, uint8_t choice)
         rtu_seal(w.bytes, 5, SEAL_CRC16);
         w.count = 5;
         break;
-    case 6: /* garbage before it */
+    case 6: /* garbage before the answer */
         memmove(w.bytes + 3, w.bytes, w.count);
         memset(w.bytes, 0xF0, 3);
         w.count += 3;
         break;
-    case 7: /* later, among the next one's */
+    case 7: /* kept for a later request */
         memcpy(late, w.bytes, w.count);
         late_bytes = (uint8_t)w.count;
         w.count = 0;
         break;
-    case 8: /* the late one first */
+    case 8: /* the kept answer first */
         memmove(w.bytes + late_bytes, w.bytes, w.count);
         memcpy(w.bytes, late, late_bytes);
         w.count += late_bytes;
@@ -150,7 +151,8 @@ static void step(void)
     answer(request, next_byte());
 }
 
-/* What comes next: the answer, the time that the machine requested, or a look in between. */
+/* Advances the time to the answer, to the time that the machine requested, or to a look before
+ * that. */
 static void pass_time(uint8_t choice)
 {
     if (w.machine.work != WORK_NONE) {
@@ -175,7 +177,8 @@ static bool stop_waits(void)
     return waits && w.machine.end.stage == END_NOT;
 }
 
-/* Every drive answers, and nothing is lost any more (the tape is at its end): each stop ends. */
+/* The tape is at its end: from now on every drive answers and no byte is lost, so each stop
+ * ends. */
 static void stops_end(void)
 {
     put_tape(NULL, 0);

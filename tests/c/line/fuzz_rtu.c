@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_rtu.c: for any bytes received, an answer that is found is valid: its beginning is right, it
- * is complete, and its check sum is right by other arithmetic than the tested one; and a good
- * answer after any garbage is found. */
+ * fuzz_rtu.c: for any received bytes, an answer that is found is valid: it begins correctly, it is
+ * complete, and its check sum, computed by another algorithm, is right. A good answer after any
+ * garbage is found. */
 #include "check.h"
 #include "rtu.h"
 
@@ -95,7 +95,7 @@ static void once(const uint8_t *given, size_t size)
         judge(&frame, echo, bytes, received_bytes,
               rtu_find_answer(&frame, frame.request, echo, bytes, received_bytes));
     }
-    /* at the very end of its room: a look beyond the last byte is seen by the sanitizer */
+    /* at the very end of its memory: the sanitizer sees a read beyond it */
     static uint8_t room[FUZZ_MAX + 64];
     uint8_t *last = room + sizeof room - count;
     memcpy(last, bytes, count);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * line_wire.h: a line's machine on a wire of virtual time, with drives that answer, or do not. */
+ * line_wire.h: the machine of a serial line on a wire in virtual time, with drives that answer or
+ * do not answer. */
 #ifndef MOTORD_TESTS_LINE_WIRE_H
 #define MOTORD_TESTS_LINE_WIRE_H
 
@@ -23,8 +24,8 @@ enum { POWERED = 1, SET_UP = 2 }; /* bits of CONDITION */
 
 static const int64_t MS = 1000000, DEVICE_NS = 500000, CHARACTER_NS = 86805, GAP_NS = 1750000;
 
-/* A wire with its drives; `dead` has a bit for each that neither receives nor answers, `mute`
- * for each that receives. */
+/* A wire with its drives. Bit n of `dead`: drive n neither receives nor answers; of `mute`: it
+ * receives only. */
 typedef struct {
     line_table table;
     line_machine machine;
@@ -32,23 +33,23 @@ typedef struct {
     int64_t now_ns;
     uint32_t dead;
     uint32_t mute;
-    uint32_t turning;                       /* bit n: its wheel is reported to turn */
-    int16_t place;                          /* what it reads as well; 0: 9 */
-    int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* when it first got one; 0: never */
+    uint32_t turning;                       /* bit n: drive n reports that its wheel turns */
+    int16_t place;                          /* what STATUS reads as at rest; 0: 9 */
+    int64_t quick_stop_ns[LINE_DRIVES_MAX]; /* time of the first quick stop; 0: never */
     int64_t power_off_ns[LINE_DRIVES_MAX];
-    uint8_t condition;     /* what CONDITION reads as: of a single drive */
-    bool old, not_enabled; /* the core's set-points */
+    uint8_t condition;     /* what CONDITION reads as, for a single drive */
+    bool old, not_enabled; /* about the set-points of the core */
     uint32_t motion_sent;  /* frames with a speed that is not zero */
     bool echoes;
-    bool babbles;            /* a device sends an unrequested byte each millisecond */
-    uint32_t unacknowledged; /* bit n: frame n of a power-off is not answered: what turns loses its
-                                power by it */
-    bool keeps_power;        /* ... but for one that does not do it */
-    uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` received by each */
-    uint32_t released[LINE_DRIVES_MAX];   /* of them the last frame */
-    uint32_t sent_off[LINE_DRIVES_MAX];   /* sent to each, received or not, as the next one */
+    bool babbles;            /* a device sends an unrequested byte each ms */
+    uint32_t unacknowledged; /* bit n: frame n of a power-off is not answered, but takes the
+                                power */
+    bool keeps_power;        /* such a frame does not take the power */
+    uint32_t power_offs[LINE_DRIVES_MAX]; /* frames of `disarm` that each drive received */
+    uint32_t released[LINE_DRIVES_MAX];   /* of these, the last frame */
+    uint32_t sent_off[LINE_DRIVES_MAX];   /* frames sent to each drive, received or not */
     uint32_t quick_stop_sent[LINE_DRIVES_MAX];
-    uint8_t refused; /* a register that is refused; 0: none */
+    uint8_t refused; /* a register that each drive refuses; 0: none */
     uint32_t refusals;
     uint8_t bytes[2 * FRAME_BYTES_MAX];
     uint32_t count;
@@ -176,7 +177,7 @@ static inline void answer_on_the_wire(const uint8_t *request)
     w.now_ns += DEVICE_NS + length * CHARACTER_NS;
 }
 
-/* One look; the core's set-points are always new and not zero. */
+/* Makes one look. Set-points of the core are not zero, and new unless `old` is set. */
 static inline void go_on(void)
 {
     int64_t stamp_ns = w.old ? w.machine.newest.stamp_ns : w.now_ns;
@@ -191,11 +192,11 @@ static inline void go_on(void)
         line_machine_sent(&w.machine, w.now_ns);
         answer_on_the_wire(w.out.send);
         if (w.count == 0 && !w.babbles) {
-            /* a look in the middle of the waiting */
+            /* a look in the middle of the wait */
             w.now_ns += (w.machine.until_ns - w.now_ns) / 2;
         }
     } else if (!w.babbles) {
-        /* it never requests an immediate wake-up for nothing */
+        /* a step never requests an immediate wake-up without need */
         CHECK(w.out.wake_ns > w.now_ns || w.machine.answered);
         w.now_ns = w.out.wake_ns;
     }

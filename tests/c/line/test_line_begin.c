@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line before its first step: no old state is left, each drive has its joints, and drives that
- * may turn are stopped. */
+ * A serial line before its first step: no old state is left, each drive has its joints, and drives
+ * that may turn are stopped. */
 #include <errno.h>
 
 #include "line_wire.h"
 
-/* added to what a drive may take: a computer is late */
+/* added to the time that a drive may take, because the computer may be late */
 static const int64_t HOST_NS = 20 * 1000000;
 
 static line_table table_of(uint32_t drives)
@@ -79,8 +79,8 @@ static line_field field(uint32_t joint, uint32_t kind)
         .joint = joint, .kind = kind, .byte = 3, .form = FORM_I16, .si_per_raw = 0.01};
 }
 
-/* Joints are those of set-points and of what is measured, in each exchange; a level of the drive
- * has none. */
+/* Each exchange contributes the joints of its set-points and measured fields. A status bit of the
+ * drive belongs to no joint. */
 static void each_drive_has_the_joints_of_its_exchanges(void)
 {
     line_table table = table_of(1);
@@ -128,8 +128,8 @@ static void entries_after_the_end_of_a_list_are_ignored(void)
     CHECK(w.machine.drive[1].due_ns == 0);
 }
 
-/* Its targets decide whether a position is signed: unsigned, the upper half of its range is not
- * below zero. */
+/* The form of the targets decides whether a position is signed. Unsigned, the upper half of its
+ * range is not negative. */
 static void a_position_is_signed_where_its_targets_are(void)
 {
     for (uint32_t has_sign = 0; has_sign < 2; has_sign++) {

@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_drive: one drive of a line by itself: what each change of its state sets, keeps and
- * forgets. */
+ * test_line_drive: one drive of a serial line: which state each change sets, keeps and clears. */
 #include "line_wire.h"
 
 static line_drive_state *begin_drive(void)
@@ -76,7 +75,7 @@ static void a_reply_takes_the_time_of_its_bytes(void)
     CHECK(line_reply_ns(&w.machine, &frame) == 7 * CHARACTER_NS);
 }
 
-/* Whether and why an armed drive stops after a look at `now`. */
+/* Checks whether and why an armed drive stops after a look. */
 static void guarded(line_drive_state *drive, uint32_t why, uint32_t stop)
 {
     line_guard(&w.machine, 0, w.now_ns);
@@ -97,7 +96,8 @@ static void an_armed_drive_is_stopped_when_set_points_grow_old(void)
     guarded(drive, DRIVE_FAULT_SETPOINTS_OLD, STOP_QUICK);
 }
 
-/* What is in transit to it may be its answer; what is in transit to another is not. */
+/* A request in transit to the drive may still get its answer; one to another drive does not
+ * help. */
 static void an_armed_drive_left_alone_longer_than_its_watchdog_is_stopped(void)
 {
     for (uint32_t how = 0; how < 5; how++) {
@@ -119,7 +119,7 @@ static void an_armed_drive_whose_set_points_are_no_longer_enabled_loses_its_powe
     line_drive_state *drive = begin_armed();
     w.machine.newest.enabled = 0;
     drive->state.enabled_count = w.machine.enabled_count = 7;
-    guarded(drive, 0, STOP_NOTHING); /* they were not enabled yet */
+    guarded(drive, 0, STOP_NOTHING); /* not enabled yet since the arming */
     w.machine.newest.enabled = 1;
     guarded(drive, 0, STOP_NOTHING);
     CHECK(drive->state.was_enabled);
@@ -127,7 +127,8 @@ static void an_armed_drive_whose_set_points_are_no_longer_enabled_loses_its_powe
     guarded(drive, DRIVE_FAULT_NOT_ENABLED, STOP_POWER_OFF);
     drive = begin_armed();
     w.machine.newest.enabled = 0;
-    drive->state.enabled_count = 7, w.machine.enabled_count = 8; /* they were, between two looks */
+    drive->state.enabled_count = 7, w.machine.enabled_count = 8; /* enabled and disabled between two
+                                                                    looks */
     guarded(drive, DRIVE_FAULT_NOT_ENABLED, STOP_POWER_OFF);
 }
 
@@ -169,7 +170,7 @@ static void obey(uint32_t mode, uint32_t unseen)
     line_obey_request(&w.machine, 0, w.now_ns);
     CHECK(w.machine.notify);
     w.machine.notify = false;
-    line_obey_request(&w.machine, 0, w.now_ns); /* the same again is no request */
+    line_obey_request(&w.machine, 0, w.now_ns); /* the same count is no new request */
     CHECK(!w.machine.notify);
 }
 
@@ -222,7 +223,7 @@ static void it_is_armed_when_nothing_prevents_it_and_its_state_is_reset(void)
         drive->state.stop = against == 3 ? STOP_POWER_OFF : STOP_NOTHING;
         w.machine.control.shut_down = against == 4;
         obey(DRIVE_ARMED, against == 5 ? 1 : 0);
-        /* an overtaken request may have been a stop: there is nothing to stop */
+        /* an overtaken request may have been a stop; nothing here needs one */
         bool armed = against == 0 || against == 5;
         CHECK((drive->state.mode == DRIVE_ARMED) == armed && drive->may_turn == armed);
         if (armed) {
@@ -234,8 +235,8 @@ static void it_is_armed_when_nothing_prevents_it_and_its_state_is_reset(void)
     }
 }
 
-/* It has power where it is armed, stopping, or sent motion. Unseen requests may have been a
- * stop. */
+/* A drive may have power if it is armed, stopping, or was sent motion. A request that was not seen
+ * may have been a stop. */
 static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_drive(void)
 {
     for (uint32_t has = 0; has < 4; has++) {
@@ -263,7 +264,7 @@ static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_dri
                     expected = DRIVE_ARMED;
                 }
                 if (mode == DRIVE_READY && has == 1 && !off) {
-                    expected = DRIVE_ARMED; /* one that is armed is set up */
+                    expected = DRIVE_ARMED; /* an armed drive is set up */
                 }
                 CHECK(drive->state.mode == expected);
                 CHECK(mode != DRIVE_OFF || (!drive->state.back && drive->stage == STAGE_IDLE &&

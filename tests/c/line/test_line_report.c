@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What a line reports of itself and of each drive: every field from its own place, and no other. */
+ * The report of a serial line and of each drive: each field has its own value. */
 #include "line_wire.h"
 
 static line_report report;
@@ -62,7 +62,8 @@ static void each_drive_is_reported_separately(void)
         CHECK(to->cycles == n + 20 && to->exchanges == n + 21 && to->unresponsive == n + 22 &&
               to->received_ns == n + 23);
     }
-    w.machine.table.drive[1].reply_timeout_ns = 200 * MS; /* of the robot file: it is in force */
+    w.machine.table.drive[1].reply_timeout_ns = 200 * MS; /* set in the robot file, so it is the one
+                                                             in use */
     look();
     CHECK(report.drive[0].deadline_ns == 9 && report.drive[1].deadline_ns == 200 * MS);
 }

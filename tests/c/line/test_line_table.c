@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Which tables of a serial line are refused, and by which name: each number at the edge of what
- * it may be, and beyond. */
+ * Which tables of a serial line are refused, and which field is named: each number at the end of
+ * its range and beyond. */
 #include <math.h>
 
 #include "line_wire.h"
@@ -108,11 +108,11 @@ static void a_request_and_its_reply(void)
     const char *const request = "drive[0].request_bytes";
     BAD(write_frame->request_seal, SEAL_WITH_REQUEST, "drive[0].request_seal");
     GOOD(write_frame->request_seal, SEAL_XMODEM);
-    /* that is for replies that name no request */
+    /* this seal is for replies that name no request */
     BAD(read_frame->reply_seal, SEAL_WITH_REQUEST, "drive[0].reply_seal");
     BAD(read_frame->reply_seal, SEAL_WITH_REQUEST + 1, "drive[0].reply_seal");
     GOOD(read_frame->reply_seal, SEAL_CRC8);
-    BAD(read_frame->request_bytes, 2, request); /* its check sum alone */
+    BAD(read_frame->request_bytes, 2, request); /* only its check sum */
     GOOD(read_frame->request_bytes, 3);
     GOOD(read_frame->request_bytes, FRAME_BYTES_MAX);
     BAD(read_frame->request_bytes, FRAME_BYTES_MAX + 1, request);
@@ -129,7 +129,7 @@ static void a_request_and_its_reply(void)
     CHECK(refused("drive[0].echo_bytes"));
 }
 
-/* Else any reply, or noise, would be taken for the answer. */
+/* Otherwise any reply, or noise, would count as the answer. */
 static void a_reply_names_its_request_and_has_a_check_sum(void)
 {
     const char *const match = "drive[0].match";
@@ -142,13 +142,13 @@ static void a_reply_names_its_request_and_has_a_check_sum(void)
     BAD(read_frame->reply_seal, SEAL_NONE, "drive[0].reply_seal");
     t = good;
     read_frame->reply_bytes = 2, read_frame->match_bytes = 1, d->cyclic[1].field_count = 0;
-    CHECK(refused("drive[0].reply_seal")); /* nothing but a check sum */
+    CHECK(refused("drive[0].reply_seal")); /* only a check sum */
     read_frame->reply_bytes = 3;
     CHECK(is_good());
     read_frame->reply_bytes = 1;
     CHECK(refused("drive[0].reply_seal"));
     read_frame->reply_bytes = 0, read_frame->match_bytes = 0, read_frame->reply_seal = SEAL_NONE;
-    CHECK(is_good()); /* no drive answers */
+    CHECK(is_good()); /* no reply is expected */
     CHECK(line_frame_is_good(read_frame));
     read_frame->request_bytes = 0;
     CHECK(!line_frame_is_good(read_frame));
@@ -161,7 +161,7 @@ static void a_reply_that_names_no_request_is_matched_by_check_sum_or_as_a_whole(
     d->cyclic[1].field_count = 0;
     *read_frame = (line_frame){
         .exact = 1, .request_bytes = 2, .reply_bytes = 3, .reply_seal = SEAL_WITH_REQUEST};
-    CHECK(is_good()); /* its check sum is over the request as well */
+    CHECK(is_good()); /* its check sum covers the request, too */
     read_frame->request_bytes = 1;
     CHECK(refused(match));
     read_frame->request_bytes = 2, read_frame->reply_bytes = 2;
@@ -180,7 +180,7 @@ static void a_reply_that_names_no_request_is_matched_by_check_sum_or_as_a_whole(
     read_frame->echo_bytes = 0, read_frame->request_bytes = 3, read_frame->reply_seal = SEAL_CRC8;
     CHECK(refused(match));
     t = good;
-    /* only a servo's reply has the seal of its request */
+    /* only a servo's reply has the same seal as its request */
     write_frame->request_seal = write_frame->reply_seal = SEAL_XMODEM;
     CHECK(refused("drive[0].reply_seal"));
 }
@@ -203,12 +203,12 @@ static void a_set_point_lies_in_its_request(void)
     t = good;
     setpoint->form = FORM_M16_LE, setpoint->raw_min = -32767.0;
     CHECK(is_good());
-    setpoint->raw_min = -32767.5; /* -32768 has no magnitude of 15 bits */
+    setpoint->raw_min = -32767.5; /* a magnitude of 15 bits cannot be -32768 */
     CHECK(refused("drive[0].setpoint.raw_min"));
     t = good;
     setpoint->form = FORM_M16_BIT10, setpoint->raw_min = -1023.0, setpoint->raw_max = 1023.0;
     CHECK(is_good());
-    setpoint->raw_max = 1023.5; /* 1024 is the sign: the motor would stand instead of turning */
+    setpoint->raw_max = 1023.5; /* 1024 is the sign bit: the motor would stop instead of turning */
     CHECK(refused("drive[0].setpoint.raw_max"));
     setpoint->raw_max = 1023.0, setpoint->raw_min = -1023.5;
     CHECK(refused("drive[0].setpoint.raw_min"));
@@ -221,7 +221,7 @@ static void a_set_point_lies_in_its_request(void)
     BAD(setpoint->raw_per_si, 0.0, "drive[0].setpoint.raw_per_si");
     BAD(setpoint->raw_per_si, INFINITE, "drive[0].setpoint.raw_per_si");
     GOOD(setpoint->raw_min, 0.0);
-    BAD(setpoint->raw_min, 1e-3, "drive[0].setpoint.raw_min"); /* it could not rest */
+    BAD(setpoint->raw_min, 1e-3, "drive[0].setpoint.raw_min"); /* its range has no zero for rest */
     BAD(setpoint->raw_min, NO_NUMBER, "drive[0].setpoint.raw_min");
     GOOD(setpoint->raw_max, 0.0);
     BAD(setpoint->raw_max, -1e-3, "drive[0].setpoint.raw_max");
@@ -354,7 +354,8 @@ static void entries_beyond_the_count_are_not_checked(void)
 static void stop_and_idle_packets_have_their_form(void)
 {
     fill_lists();
-    t.broadcast_stop[0] = frame_of(0, WRITE, CONTROL, DISABLE); /* all would answer at once */
+    t.broadcast_stop[0] = frame_of(0, WRITE, CONTROL, DISABLE); /* all drives would answer at
+                                                                   once */
     CHECK(refused("broadcast_stop[0].reply_bytes"));
     fill_lists();
     d->extra[0].setpoint_count = 1;
@@ -375,7 +376,8 @@ static void the_first_error_is_named(void)
     CHECK(refused("drive[0].setpoint.joint"));
 }
 
-/* Head, length and check sum; stuffing adds a byte to each three; a reply has a status as well. */
+/* A packet needs its head, length and check sum. Stuffing adds one byte to three. A reply has a
+ * status, too. */
 static void a_servo_s_packet_has_room_for_its_head(void)
 {
     const struct {
@@ -384,7 +386,7 @@ static void a_servo_s_packet_has_room_for_its_head(void)
                  {SEAL_STUFFED, 10, 3 * FRAME_BYTES_MAX / 4 - 2, 11}};
     for (uint32_t i = 0; i < 2; i++) {
         line_frame packet = {.request_seal = KINDS[i].seal, .request_bytes = KINDS[i].request_min};
-        CHECK(line_frame_is_good(&packet)); /* one that is not answered */
+        CHECK(line_frame_is_good(&packet)); /* without a reply */
         packet.request_bytes = KINDS[i].request_max;
         CHECK(line_frame_is_good(&packet));
         packet.request_bytes = KINDS[i].request_min - 1;
@@ -400,7 +402,7 @@ static void a_servo_s_packet_has_room_for_its_head(void)
         packet.reply_bytes = KINDS[i].reply_min - 1;
         CHECK(!line_frame_is_good(&packet));
         packet.reply_bytes = KINDS[i].reply_min;
-        packet.match_bytes = 4; /* of a stuffed one no less than its head and its servo is known */
+        packet.match_bytes = 4; /* stuffed replies need five bytes: head and unit */
         CHECK(line_frame_is_good(&packet) == (KINDS[i].seal == SEAL_SUM));
         packet.match_bytes = 5, packet.echo_bytes = 1;
         CHECK(!line_frame_is_good(&packet));
@@ -408,7 +410,7 @@ static void a_servo_s_packet_has_room_for_its_head(void)
         CHECK(!line_frame_is_good(&packet));
         packet = (line_frame){
             .request_seal = KINDS[i].seal, .request_bytes = 20, .reply_seal = KINDS[i].seal};
-        CHECK(line_frame_is_good(&packet)); /* it is not answered */
+        CHECK(line_frame_is_good(&packet)); /* without a reply */
     }
 }
 

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The trace of a line: off it keeps nothing, on it keeps the newest entries, and what was
- * overwritten is known. */
+ * The trace of a line: switched off it keeps no entries, switched on it keeps the newest ones, and
+ * a reader sees that an entry was overwritten. */
 #include <errno.h>
 #include <string.h>
 

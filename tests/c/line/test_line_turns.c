@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_turns: which drive has its turn on a serial line, and when the next look is. */
+ * test_line_turns: which drive of a serial line has its turn, and when the next look is. */
 #include "line_wire.h"
 
 static const int64_t RESTING_NS = 50 * MS, MOVING_NS = 10 * MS;
 
 static line_machine *const m = &w.machine;
 
-/* Silence, and no drive's turn: each drive is ready, and due after this time. */
+/* The line is silent. Each drive is ready, and its cycle is due after `due_in_ns`. */
 static void begin_ready(uint32_t drives, int64_t due_in_ns)
 {
     begin_with(drives, 0);
@@ -36,13 +36,13 @@ static void put(uint64_t id, uint32_t drive, uint32_t urgent)
     CHECK(line_machine_request(m, &request));
 }
 
-/* Of this drive, as this work. */
+/* Whether a request of this kind of work is sent to this drive. */
 static bool is_sent(uint32_t work, uint32_t drive)
 {
     return w.out.send != NULL && m->work == work && m->worker == drive && w.out.wake_ns == w.now_ns;
 }
 
-/* As if the request in transit had never been. */
+/* Drops the request in transit. */
 static void forget_request(void)
 {
     m->work = WORK_NONE;
@@ -86,7 +86,7 @@ static void the_drive_that_is_due_first_has_its_turn(void)
     }
     begin_ready(3, 0);
     look();
-    CHECK(is_sent(WORK_CYCLE, 0)); /* of equals the first */
+    CHECK(is_sent(WORK_CYCLE, 0)); /* the first of several that are due */
     begin_ready(2, 0);
     m->drive[0].held_until_ns = w.now_ns + 1, m->drive[1].silent_until_ns = w.now_ns + 2;
     look();
@@ -96,7 +96,7 @@ static void the_drive_that_is_due_first_has_its_turn(void)
     CHECK(is_sent(WORK_CYCLE, 0));
 }
 
-/* ----------------------------------------------------------------------------- the slot */
+/* ----------------------------------------------------- the slot for requests and probes */
 static void a_request_goes_between_two_cycles_where_it_fits(void)
 {
     int64_t takes_ns = 15 * CHARACTER_NS + 5 * MS + GAP_NS;
@@ -105,11 +105,11 @@ static void a_request_goes_between_two_cycles_where_it_fits(void)
         put(7, LINE_DRIVES_MAX, 0);
         look();
         CHECK(short_ns == 0 ? is_sent(WORK_REQUEST, LINE_DRIVES_MAX) : w.out.send == NULL);
-        /* the drive's turn: the slot's is later */
+        /* the next look is for the drive, whose cycle comes first */
         CHECK(short_ns == 0 || w.out.wake_ns == w.now_ns + takes_ns - 1);
     }
     begin_ready(1, 0);
-    m->drive[0].state.mode = DRIVE_OFF; /* no drive has a turn */
+    m->drive[0].state.mode = DRIVE_OFF; /* no cycle of a drive is due */
     put(7, LINE_DRIVES_MAX, 0);
     look();
     CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX));
@@ -125,7 +125,7 @@ static void the_slot_has_its_own_turn_like_a_drive(void)
           m->slot_due_ns == w.now_ns + 20 * MS);
     begin_ready(1, 0);
     put(7, LINE_DRIVES_MAX, 0);
-    m->slot_due_ns = w.now_ns; /* both are due: the slot goes first, once in a period */
+    m->slot_due_ns = w.now_ns; /* both are due: the slot precedes, once in its period */
     look();
     CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX));
     begin_ready(1, -1);
@@ -135,7 +135,7 @@ static void the_slot_has_its_own_turn_like_a_drive(void)
     CHECK(is_sent(WORK_CYCLE, 0) && m->slot_turn == 0);
     begin_ready(1, MS);
     put(7, LINE_DRIVES_MAX, 0);
-    m->slot_due_ns = w.now_ns - 500 * MS; /* what was missed is not caught up */
+    m->slot_due_ns = w.now_ns - 500 * MS; /* missed slots are not made up for */
     look();
     CHECK(is_sent(WORK_REQUEST, LINE_DRIVES_MAX) && m->slot_due_ns == w.now_ns);
 }
@@ -154,7 +154,7 @@ static void requests_and_probes_take_turns_but_for_urgent_ones(void)
         forget_request();
     }
     put(8, LINE_DRIVES_MAX, 1);
-    /* the urgent one goes first, then again the probe's turn */
+    /* the urgent request precedes, and then the probe has its turn */
     for (uint32_t turn = 6; turn < 8; turn++) {
         m->drive[1].probe_at_ns = 0;
         m->slot_due_ns = w.now_ns;
@@ -169,7 +169,7 @@ static void requests_and_probes_take_turns_but_for_urgent_ones(void)
         m->drive[1].probe_at_ns = 0;
         m->slot_due_ns = w.now_ns;
         look();
-        CHECK(is_sent(WORK_PROBE, 1)); /* nothing else needs the slot */
+        CHECK(is_sent(WORK_PROBE, 1)); /* no request needs the slot */
         forget_request();
     }
 }
@@ -204,7 +204,7 @@ static void the_time_of_the_last_silence_is_kept(void)
     CHECK(m->silent_ns == silent_ns);
 }
 
-/* One that may turn is sent its stop also on a noisy line; the others wait for silence. */
+/* A drive that may turn gets its stop also on a noisy line. The others wait for silence. */
 static void only_a_drive_that_may_turn_is_probed_on_a_noisy_line(void)
 {
     for (uint32_t may_turn = 0; may_turn < 2; may_turn++) {
@@ -223,7 +223,7 @@ static void only_a_drive_that_may_turn_is_probed_on_a_noisy_line(void)
     }
 }
 
-/* ------------------------------------------------------------------------ the next look */
+/* ---------------------------------------------------------------- time of the next look */
 static void begin_resting(void)
 {
     begin_ready(2, 0);
@@ -246,7 +246,7 @@ static void drives_at_rest_are_checked_seldom_and_those_that_may_move_often(void
     m->drive[1].state.sent_motion = true;
     CHECK(next_look_in() == MOVING_NS);
     begin_ready(1, 40 * MS);
-    CHECK(next_look_in() == 40 * MS); /* ready, and its turn is next */
+    CHECK(next_look_in() == 40 * MS); /* the look for its next cycle */
     begin_ready(1, 40 * MS);
     m->drive[0].state.mode = DRIVE_ARMED;
     m->drive[0].state.was_enabled = true;
@@ -276,7 +276,7 @@ static void a_probe_waits_for_its_time_for_late_replies_and_for_the_slot(void)
         m->slot_due_ns = w.now_ns + (latest == 2 ? 9 : 4) * MS;
         CHECK(next_look_in() == 9 * MS);
     }
-    begin_resting(); /* at the end there are no probes */
+    begin_resting(); /* the end has no probes */
     m->drive[1].state.mode = DRIVE_UNRESPONSIVE;
     m->drive[1].probe_at_ns = w.now_ns + 2 * MS;
     m->drive[0].state.stopping = true, m->drive[0].state.off_by_ns = w.now_ns + 900 * MS;
@@ -344,7 +344,7 @@ static void a_new_set_point_makes_its_own_drives_due(void)
         m->table.drive[2] = drive_of(2); /* there is no third drive */
         m->drive[1].state.mode = against == 2 ? DRIVE_READY : DRIVE_ARMED;
         m->drive[1].due_ns = against == 3 ? w.now_ns - MS : due_ns;
-        /* its cycle's set-point is kept */
+        /* the set-point of the running cycle is kept */
         m->table.drive[1].direction_count = against == 4 ? 1 : 0;
         m->drive[1].frozen.joint[1].velocity_rad_s = -7.0;
         line_machine_kick(m, w.now_ns);

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What is sent to a drive of a line that does not answer, and when, and how it comes back. */
+ * A drive of a serial line that does not answer: which frames it is sent, when, and how it
+ * returns. */
 #include "line_wire.h"
 
 enum { EXTRA = 0x40, SENT_MAX = 256 };
@@ -34,13 +35,13 @@ static void restart(void)
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
 }
 
-/* Silent from now on; what is sent since it is unresponsive. */
+/* The drive becomes silent. `sent` keeps what it is sent since it is unresponsive. */
 static void become_unresponsive(void)
 {
     w.dead = 1;
     while (w.machine.drive[0].state.mode != DRIVE_UNRESPONSIVE) {
         sent_count = 0;
-        look(); /* the first one goes out in the look that finds it unresponsive */
+        look(); /* the look that finds the drive unresponsive sends the first frame */
     }
 }
 
@@ -141,15 +142,15 @@ static void the_probe_may_be_the_first_of_the_cycle(void)
     CHECK(sent_count >= 3 && is_zero(&sent[0]) && is_zero(&sent[1]) && is_zero(&sent[2]));
 }
 
-/* It answers again: power off first, and only then may it be set up; the next silence begins
- * with a quick stop again. */
+/* A drive that answers again gets its power-off, and may be set up only after it. Its next silence
+ * begins with a quick stop again. */
 static void a_drive_that_answers_gets_its_power_off_and_is_back(void)
 {
     begin_with(1, 0);
     for (uint64_t times = 1; times <= 2; times++) {
         w.dead = 0;
         become_unresponsive_while_it_may_turn();
-        look_for(450 * MS); /* so that the round breaks off in its middle */
+        look_for(450 * MS); /* so that a round is interrupted in its middle */
         CHECK(is_quick_stop(&sent[0]) && is_zero(&sent[1]) &&
               w.machine.drive[0].count.unresponsive == times);
         CHECK(sent[1].at_ns - sent[0].at_ns < 90 * MS && sent[2].at_ns - sent[1].at_ns < 90 * MS);
@@ -174,14 +175,14 @@ static void a_drive_that_falls_silent_ends_its_running_stop(void)
         go_on();
     }
     w.machine.newest.stamp_ns = 0;
-    /* old set-points: it comes to rest */
+    /* old set-points: the drive comes to rest */
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
     CHECK(w.machine.drive[0].state.stopping);
     become_unresponsive();
     CHECK(!w.machine.drive[0].state.stopping && w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
-/* Its next cycle and its next round of probes start at the beginning. */
+/* The drive's next cycle and its next round of probes start at the beginning. */
 static void a_drive_that_falls_silent_in_its_cycle_restarts_and_delays_no_other(void)
 {
     begin_with(2, 0);
@@ -202,7 +203,7 @@ static void a_drive_that_falls_silent_in_its_cycle_restarts_and_delays_no_other(
     }
 }
 
-/* One quick stop, the exchanges with set-points that begin the cycle, and the probe. */
+/* A round has one quick stop, the exchanges with set-points that begin the cycle, and the probe. */
 static void the_first_round_is_as_long_as_what_stops_the_drive(void)
 {
     for (uint32_t writes = 0; writes <= 2; writes++) {
@@ -210,7 +211,7 @@ static void the_first_round_is_as_long_as_what_stops_the_drive(void)
         line_drive *table = &w.machine.table.drive[0];
         table->cyclic[0].setpoint_count = writes > 0;
         table->cyclic[1].setpoint_count = 1;
-        /* the entry after the last is no exchange of it */
+        /* an entry beyond the count does not count */
         table->cyclic_count = writes == 2 ? 2 : 1;
         w.machine.drive[0].may_turn = true;
         line_becomes_unresponsive(&w.machine, 0, w.now_ns);

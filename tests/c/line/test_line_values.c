@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What goes into the requests of a serial line, and what is read from its replies. */
+ * Set-points in the requests of a serial line, and values in its replies. */
 #include <math.h>
 
 #include "line_wire.h"
@@ -15,7 +15,7 @@ static line_exchange *const turn = &w.machine.table.drive[JOINT].cyclic[1];
 static line_frame built;
 static uint8_t reply[FRAME_BYTES_MAX];
 
-/* The second of two drives is armed, and its set-point is not zero. */
+/* Two drives. The second one is armed, and its set-point is `velocity_rad_s`. */
 static void begin(double velocity_rad_s)
 {
     begin_with(2, 0);
@@ -30,7 +30,7 @@ static int64_t sent_raw(void)
     return rtu_read(built.request + setpoint->byte, setpoint->form);
 }
 
-/* ------------------------------------------------------------------------ into requests */
+/* --------------------------------------------------------------- set-points in requests */
 static void a_set_point_is_scaled_rounded_and_clamped(void)
 {
     static const struct {
@@ -62,7 +62,7 @@ static void a_request_moves_when_any_of_its_set_points_does(void)
         table->cyclic[0].frame.request_bytes = 10;
         table->cyclic[0].setpoint[1] = *setpoint;
         table->cyclic[0].setpoint[1].joint = 3, table->cyclic[0].setpoint[1].byte = 6;
-        table->cyclic[0].setpoint[2] = *setpoint; /* not counted */
+        table->cyclic[0].setpoint[2] = *setpoint; /* beyond the count */
         table->cyclic[0].setpoint[2].joint = 4;
         table->cyclic[0].setpoint_count = 2;
         m->newest.joint[4].velocity_rad_s = 9.0;
@@ -94,11 +94,11 @@ static void only_an_armed_and_enabled_drive_gets_set_points_other_than_zero(void
         CHECK(!line_wants_motion(m, JOINT) && !line_build(m, JOINT, 0, &built) && sent_raw() == 0);
     }
     begin(1.0);
-    m->newest.joint_count = 99; /* more than there are */
+    m->newest.joint_count = 99; /* a count beyond the table */
     const double behind = 1.0;
     memcpy(&m->newest.joint[0] + JOINTS_MAX, &behind, sizeof behind);
     CHECK(line_wanted(m, JOINT, JOINTS_MAX, SETPOINT_VELOCITY) == 0.0);
-    m->newest.joint_count = JOINT; /* the core has no set-point for it */
+    m->newest.joint_count = JOINT; /* the core sends no set-point for this joint */
     CHECK(!line_build(m, JOINT, 0, &built) && sent_raw() == 0);
 }
 
@@ -111,7 +111,7 @@ static void a_set_point_that_differs_from_the_last_is_found_in_each_exchange(voi
         table->cyclic[1].setpoint[1] = table->cyclic[1].setpoint[0];
         table->cyclic[1].setpoint[1].joint = 4, table->cyclic[1].setpoint[1].byte = 2;
         table->cyclic[1].setpoint_count = 2;
-        CHECK(line_differs(m, JOINT)); /* 1.0 was never sent */
+        CHECK(line_differs(m, JOINT)); /* 1.0 has not been sent yet */
         for (uint32_t i = 0; i < 2; i++) {
             (void)line_build(m, JOINT, i, &built);
         }
@@ -128,7 +128,7 @@ static void a_set_point_that_differs_from_the_last_is_found_in_each_exchange(voi
 static void exchanges_beyond_the_count_are_ignored(void)
 {
     begin(0.0);
-    table->cyclic[2] = table->cyclic[0]; /* not counted */
+    table->cyclic[2] = table->cyclic[0]; /* beyond the count */
     table->cyclic[2].setpoint[0].joint = 3;
     m->newest.joint[3].velocity_rad_s = 1.0;
     CHECK(!line_differs(m, JOINT) && !line_wants_motion(m, JOINT));
@@ -136,8 +136,8 @@ static void exchanges_beyond_the_count_are_ignored(void)
     CHECK(line_differs(m, JOINT) && line_wants_motion(m, JOINT));
 }
 
-/* Magnitude and direction go out one by one: both are of the cycle's set-point, but a stop waits
- * for no cycle. */
+/* Magnitude and direction are separate requests: both belong to the set-point of the cycle. But a
+ * stop does not wait for the next cycle. */
 static void a_cycle_with_directions_keeps_its_set_point(void)
 {
     begin(2.0);
@@ -181,7 +181,7 @@ static void a_drive_at_rest_is_sent_its_idle_request(void)
     }
 }
 
-/* ------------------------------------------------------------------------- from replies */
+/* -------------------------------------------------------------------- values in replies */
 static void add_field(uint32_t place, uint32_t kind, uint32_t byte, uint32_t form)
 {
     turn->field[place] =
@@ -203,7 +203,7 @@ static void each_field_goes_to_the_value_that_it_means(void)
         add_field(i, KINDS[i], 2 * i, FORM_I16);
         rtu_write(reply + 2 * i, FORM_I16, -10 - (int64_t)i);
     }
-    turn->field[5] = turn->field[0]; /* not counted */
+    turn->field[5] = turn->field[0]; /* beyond the count */
     turn->field[5].byte = 20;
     read_at(77);
     const joint_feedback *feedback = &joint->feedback;
@@ -230,7 +230,7 @@ static void a_velocity_without_sign_gets_the_sign_of_the_last_direction_sent(voi
     rtu_write(reply, FORM_U16, 8);
     drive->direction_last[0] = drive->direction_last[1] = DIRECTION_REVERSE;
     read_at(1);
-    CHECK(joint->feedback.velocity_rad_s == 4.0); /* it has its sign */
+    CHECK(joint->feedback.velocity_rad_s == 4.0); /* a field without a direction has its own sign */
     turn->field[0].direction = 1;
     drive->direction_last[1] = DIRECTION_FORWARD;
     read_at(2);
@@ -254,7 +254,7 @@ static void a_fault_word_stops_by_its_harmful_bits_and_is_reported_when_it_chang
     read_at(6);
     CHECK(m->notify && joint->fault_word == 0x6 && joint->feedback.drive_faults == 0x2 &&
           m->joint[0].fault_word == 0);
-    read_at(7); /* what else is to be reported stays so */
+    read_at(7); /* another cause of the notification is kept */
     CHECK(m->notify);
     m->notify = false;
     read_at(7);
@@ -282,13 +282,14 @@ static void a_mask_shows_whether_it_is_enabled_and_kept_its_set_up(void)
     CHECK(drive->state.enabled == 1 && !drive->lost_setup && joint->newest_ns == 0);
     rtu_write(reply, FORM_U16, 0x72), rtu_write(reply + 2, FORM_U16, 8);
     read_at(6);
-    CHECK(drive->state.enabled == 0 && drive->lost_setup); /* the second one does not mend it */
+    CHECK(drive->state.enabled == 0 && drive->lost_setup); /* the second field does not outweigh the
+                                                              first */
     rtu_write(reply + 2, FORM_U16, 9);
     read_at(7);
     CHECK(drive->lost_setup);
 }
 
-/* -------------------------------------------------------------------------- to the core */
+/* ----------------------------------------------------------------- feedback to the core */
 static void feedback_has_the_stamp_of_what_the_core_integrates(void)
 {
     for (uint32_t has = 0; has < 8; has++) {

@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A drive on a serial line in every mode, and every event. */
+ * A drive on a serial line in every mode, and the effect of every event. */
 #include "drive_walk.h"
 #include "line_wire.h"
 
-/* It also reports whether it has power and has kept its set-up. */
+/* The drive also reports whether it has power and has kept its set-up. */
 static void begin_line(void)
 {
     begin_with(1, 0);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * rtu.c, every line and every border: check sums of the standards, numbers on the wire, and
- * which bytes are an answer. */
+ * Every line and every bound of rtu.c: check sums of the standards, numbers on the wire, and which
+ * bytes are an answer. */
 #include <string.h>
 
 #include "check.h"
@@ -8,7 +8,7 @@
 
 enum { ROOM = 300 };
 
-/* V1.02 of the serial line guide, 6.2.2: the CRC of 02 07 is 0x1241 as a number, sent 41 12. */
+/* V1.02 of the serial line guide, 6.2.2: the CRC of 02 07 is the number 0x1241, sent as 41 12. */
 static void check_sums_match_the_standards(void)
 {
     const uint8_t read_holding[] = {0x01, 0x03, 0x00, 0x00, 0x00, 0x0A}, digits[] = "123456789",
@@ -85,7 +85,7 @@ static void a_mask_takes_its_bits_with_their_sign(void)
     CHECK(rtu_masked(0xF0, 0x10, FORM_U8) == 1);
 }
 
-/* FC03 of two registers from unit 1, and its reply. */
+/* Function 03: reads two registers of unit 1. */
 static line_frame reading(void)
 {
     line_frame frame = {.request_bytes = 8,
@@ -100,7 +100,7 @@ static line_frame reading(void)
     return frame;
 }
 
-/* FC06: the reply is the request. */
+/* Function 06: the reply equals the request. */
 static line_frame writing(void)
 {
     line_frame frame = {.request_bytes = 8,
@@ -165,13 +165,14 @@ static void bytes_that_are_not_the_answer_are_refused(void)
 {
     line_frame frame = reading();
     uint8_t reply[9];
-    for (uint32_t bit = 0; bit < 72; bit++) { /* one wrong bit anywhere */
+    for (uint32_t bit = 0; bit < 72; bit++) { /* flips each bit in turn */
         memcpy(reply, good_reply(), 9);
         reply[bit / 8] ^= (uint8_t)(1 << bit % 8);
         CHECK(is(find(&frame, 0, reply, 9), RECEIVED_MORE, 0, 0));
     }
     static const uint8_t others[][3] = {{2, 3, 4}, {1, 4, 4}, {1, 3, 2}, {0, 3, 4}};
-    for (uint32_t n = 0; n < 4; n++) { /* well sealed, and another unit's, function's, length's */
+    for (uint32_t n = 0; n < 4; n++) { /* correctly sealed, but of another unit, function or
+                                          length */
         memcpy(reply, good_reply(), 9);
         memcpy(reply, others[n], 3);
         rtu_seal(reply, 9, SEAL_CRC16);
@@ -191,7 +192,7 @@ static void a_write_is_answered_by_its_own_first_bytes(void)
         rtu_seal(other, 8, SEAL_CRC16);
         CHECK(is(find(&frame, 0, other, 8), RECEIVED_MORE, 0, 0));
     }
-    line_frame many = writing(); /* FC16: the reply is shorter than the request */
+    line_frame many = writing(); /* function 16: the reply is shorter than the request */
     many.request[1] = 16;
     many.request_bytes = 13;
     rtu_seal(many.request, 13, SEAL_CRC16);
@@ -215,7 +216,7 @@ static void a_refusal_is_reported_with_its_code(void)
     frame.has_exceptions = 0;
     CHECK(is(find(&frame, 0, refusal, 6), RECEIVED_MORE, 0, 0));
     frame.has_exceptions = 1;
-    for (uint32_t at = 1; at < 6; at++) { /* another unit, function, code without its seal */
+    for (uint32_t at = 1; at < 6; at++) { /* another unit, function or code without a new seal */
         uint8_t wrong[8];
         memcpy(wrong, refusal, 8);
         wrong[at] ^= 0x01;
@@ -225,7 +226,7 @@ static void a_refusal_is_reported_with_its_code(void)
             CHECK(is(find(&frame, 0, wrong, 6), RECEIVED_MORE, 0, 0));
         }
     }
-    uint8_t plain[5] = {1, 3, 2}; /* the function without its top bit is no exception */
+    uint8_t plain[5] = {1, 3, 2}; /* a function without its top bit is no exception */
     rtu_seal(plain, 5, SEAL_CRC16);
     CHECK(is(find(&frame, 0, plain, 5), RECEIVED_MORE, 0, 0));
 }
@@ -243,7 +244,7 @@ static void an_adapter_that_receives_itself_brings_the_request_first(void)
     CHECK(is(find(&frame, 1, bytes, count), RECEIVED_ANSWER, 8, 1));
     CHECK(is(find(&frame, 0, bytes, count), RECEIVED_ANSWER, 8, 1));
     CHECK(is(find(&frame, 2, bytes, count), RECEIVED_ANSWER, 8, 1));
-    for (uint32_t at = 0; at < 8; at++) { /* two have talked at once */
+    for (uint32_t at = 0; at < 8; at++) { /* two devices have sent at once */
         uint8_t collided[ROOM];
         memcpy(collided, bytes, count);
         collided[at] ^= 0x80;
@@ -289,13 +290,14 @@ static void an_answer_may_repeat_only_one_byte(void)
     CHECK(is(find(&frame, 0, reply, 8), RECEIVED_MORE, 0, 0));
 }
 
-/* The request itself and one byte more can be a well sealed reply: with an echo it is no reply. */
+/* The request and one more byte can look like a sealed reply. On a line with echo that is no
+ * reply. */
 static void no_answer_begins_within_the_echo(void)
 {
     line_frame frame = reading();
     uint8_t bytes[9];
     for (uint32_t value = 0; value < 0x10000; value++) {
-        frame.request[2] = 4; /* as the byte count of the reply would be */
+        frame.request[2] = 4; /* equal to the byte count of the reply */
         frame.request[4] = (uint8_t)(value >> 8);
         frame.request[5] = (uint8_t)value;
         rtu_seal(frame.request, 8, SEAL_CRC16);
@@ -338,8 +340,8 @@ static void short_frames_of_other_protocols_have_a_check_sum_of_one_byte(void)
     CHECK(is(find(&frame, 0, reply, 10), RECEIVED_MORE, 0, 0));
 }
 
-/* RoboClaw packet serial: the check sum of an answer to a read covers the request too; the answer
- * to a write is 0xFF. */
+/* RoboClaw packet serial: the check sum of an answer to a read covers the request, too. The answer
+ * to a write is the byte 0xFF. */
 static void an_answer_that_names_no_request_is_all_bytes_received(void)
 {
     line_frame asked = {.request_bytes = 2,
@@ -352,7 +354,7 @@ static void an_answer_that_names_no_request_is_all_bytes_received(void)
     CHECK(is(find(&asked, 0, reply, 3), RECEIVED_MORE, 0, 0));
     CHECK(is(find(&asked, 0, reply, 4), RECEIVED_ANSWER, 0, 0));
     CHECK(find(&asked, 2, reply, 5).kind == RECEIVED_BAD);
-    asked.request[0] = 0x81; /* another's */
+    asked.request[0] = 0x81; /* the request to another unit */
     CHECK(find(&asked, 0, reply, 4).kind == RECEIVED_BAD && find(&asked, 0, reply, 4).bytes == 0);
     line_frame last_sent = {.request_bytes = 8,
                             .reply_bytes = 1,

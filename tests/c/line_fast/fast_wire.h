@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fast_wire.h: a line's machine on a wire of virtual time, with Dynamixels that answer a fast
- * sync read in one packet. */
+ * fast_wire.h: the machine of a serial line on a wire in virtual time, with Dynamixels that answer
+ * a fast sync read in one packet. */
 #ifndef MOTORD_TESTS_FAST_WIRE_H
 #define MOTORD_TESTS_FAST_WIRE_H
 
@@ -27,12 +27,12 @@ static struct {
     line_machine machine;
     line_output out;
     int64_t now_ns;
-    uint32_t silent;         /* bit n: it does not answer, and ends the packet of all */
-    uint32_t errors;         /* bit n: it refuses */
-    uint32_t swapped;        /* 1: the second and the third one answer in the wrong order */
-    bool alert, echoes, old; /* old: without this instruction */
-    uint32_t cut, flip; /* of the packet of all: 0, or so many bytes come only; 1 + the byte that
-                           has a wrong bit */
+    uint32_t silent;         /* bit n: it does not answer, which ends the common packet */
+    uint32_t errors;         /* bit n: it refuses the read */
+    uint32_t swapped;        /* 1: the second and third one answer in the wrong order */
+    bool alert, echoes, old; /* old: firmware without fast reads */
+    uint32_t cut, flip; /* of the common packet; cut: length that arrives, 0: all; flip: 1 + index
+                           of a byte with a wrong bit, 0: no byte */
     int32_t goal[SERVOS];
     bool torque[SERVOS];
     uint32_t fast, plain, asked;
@@ -121,7 +121,7 @@ static inline line_table table_of(uint32_t echo)
     return table;
 }
 
-/* ------------------------------------------------------------------------ their answers */
+/* ---------------------------------------------------------------- answers of the servos */
 static inline void status(uint32_t number, const uint8_t *data, uint32_t count)
 {
     if ((s.silent >> number & 1) != 0) {

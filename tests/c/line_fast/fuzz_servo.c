@@ -1,8 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  * fuzz_servo.c: bus servos and a wire that behave at random. For any input, a status is valid by
- * other arithmetic than the tested one, unstuffing reverses stuffing, motion is sent only to armed
- * servos and only while the core requests it, no value is another servo's, each stop ends, and the
- * end comes. */
+ * another algorithm, unstuffing reverses stuffing, motion is sent only to armed servos and only
+ * while the core requests it, no value is taken from another servo, each stop ends, and the line
+ * ends. */
 #include <math.h>
 
 #include "servo_wire.h"
@@ -14,8 +14,8 @@ enum { FUZZ_MAX = 224, SERVOS = 3 };
 static const int64_t STEP_MS = 1000000;
 
 /* ------------------------------------------------------------------------------ packets */
-/* CRC-16 of the manual's polynomial, a bit at a time from the other end: reflected in, reflected
- * out. */
+/* CRC-16 with the manual's polynomial, but in reflected form and bit by bit, so that it checks the
+ * other one. */
 static uint16_t other_crc(const uint8_t *bytes, uint32_t count)
 {
     uint32_t crc = 0;
@@ -59,7 +59,7 @@ static void packets(const uint8_t *data)
     uint8_t *flipped = wire + garbage + data[74] % status.request_bytes;
     *flipped ^= (uint8_t)(1U << data[75] % 8);
     found = rtu_hunt(&asked, wire, garbage, wire, garbage + status.request_bytes);
-    CHECK(found.kind == RECEIVED_MORE); /* CRC-16 sees one bit */
+    CHECK(found.kind == RECEIVED_MORE); /* CRC-16 detects a wrong bit */
 }
 
 /* -------------------------------------------------------------------------- the machine */
@@ -96,7 +96,7 @@ static void choose_request(uint8_t choice)
     }
 }
 
-/* Each goal that is not zero is one that its servo may get now. */
+/* Each goal that is not zero goes to a servo that may move now. */
 static void judge(const uint8_t *packet)
 {
     uint32_t bytes = 4U + packet[3];
@@ -158,7 +158,7 @@ static bool stop_waits(void)
     return waits && s.machine.end.stage == END_NOT;
 }
 
-/* Now every servo answers and nothing is lost: each stop ends, even after late replies. */
+/* From now on every servo answers and no byte is lost: each stop ends, even after late replies. */
 static void stops_end(void)
 {
     s.silent = 0;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * position_wire.h: one drive on a serial line that goes to positions. */
+ * position_wire.h: one drive on a serial line that takes positions. */
 #ifndef MOTORD_POSITION_WIRE_H
 #define MOTORD_POSITION_WIRE_H
 
@@ -15,7 +15,7 @@ static line_setpoint *const setpoint = &w.table.drive[0].cyclic[0].setpoint[0];
 static uint32_t targets, reads;
 static int16_t newest_target;
 
-/* One drive that goes to positions: 1000 counts for a rad, 2000 where the angle is 0. */
+/* One drive that takes positions, at 1000 counts per rad; an angle of 0 is 2000 counts. */
 static inline void begin(void)
 {
     begin_with(1, 0);
@@ -30,7 +30,7 @@ static inline void begin(void)
     line_exchange *reads_it = &w.table.drive[0].cyclic[1];
     reads_it->field[1] = reads_it->field[0];
     reads_it->field[1].kind = FIELD_COUNT;
-    reads_it->field[0].si_per_raw = 1e-6; /* it rests */
+    reads_it->field[0].si_per_raw = 1e-6; /* the drive rests */
     reads_it->field_count = 2;
     w.place = HERE;
     CHECK(line_machine_init(m, &w.table, 0, w.now_ns) == 0);

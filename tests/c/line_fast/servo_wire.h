@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * servo_wire.h: a line's machine on a wire of virtual time, with bus servos that answer one
- * request together. */
+ * servo_wire.h: the machine of a serial line on a wire in virtual time, with bus servos that answer
+ * a group request in turn. */
 #ifndef MOTORD_TESTS_SERVO_WIRE_H
 #define MOTORD_TESTS_SERVO_WIRE_H
 
@@ -11,13 +11,13 @@
 
 enum { GOAL = 46, PRESENT = 58, TORQUE = 40, SERVO_CHARACTER_NS = 10000, SERVO_DELAY_NS = 50000 };
 
-/* What each servo does with the request of all. */
+/* A wire with servos, and what each of them does with a group request. */
 typedef struct {
     line_table table;
     line_machine machine;
     line_output out;
     int64_t now_ns;
-    uint32_t silent;  /* bit n: receives, and does not answer */
+    uint32_t silent;  /* bit n: receives, but does not answer */
     uint32_t damaged; /* bit n: its reply has a wrong bit */
     bool echoes;
     int16_t goal[LINE_DRIVES_MAX];
@@ -135,7 +135,7 @@ static inline void status(uint32_t number, const uint8_t *data, uint32_t count)
     s.now_ns += SERVO_DELAY_NS + (6 + count) * SERVO_CHARACTER_NS;
 }
 
-/* One packet of what was sent, done by the servos; its length. */
+/* The servos carry out one packet of the bytes that were sent. Returns its length. */
 static inline uint32_t obey_packet(const uint8_t *packet)
 {
     uint32_t bytes = 4U + packet[3], unit = packet[2];
@@ -165,7 +165,7 @@ static inline uint32_t obey_packet(const uint8_t *packet)
     return bytes;
 }
 
-/* One look; the core's set-points are new, `velocity_rad_s` for each joint plus a tenth of its
+/* Makes one look. Set-points of the core are new: `velocity_rad_s` plus a tenth of the joint's
  * number. */
 static inline void servos_step(double velocity_rad_s, uint32_t enabled)
 {
@@ -223,7 +223,7 @@ static inline void servos_arm(void)
     }
 }
 
-/* Armed and driving, until a request of all is out. */
+/* Arms the drives and drives until a group request has been sent. */
 static inline void group_goes_out(uint32_t drives, uint32_t echo)
 {
     servos_begin(drives, echo);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The fast sync read of Dynamixels: all answer in one packet, and plain sync reads follow while
- * one of them fails. */
+ * The fast sync read of Dynamixels: all answer in one packet. Plain sync reads follow while one
+ * servo fails. */
 #include "fast_wire.h"
 
 static void one_packet_has_the_answers_of_all_servos(void)
@@ -20,7 +20,8 @@ static void one_packet_has_the_answers_of_all_servos(void)
     }
 }
 
-/* Its block ends the packet: servos after it lose one answer, and servos before it none. */
+/* A missing block ends the packet: servos after it lose one answer, and servos before it lose no
+ * answer. */
 static void plain_reads_follow_while_a_servo_is_missing(void)
 {
     for (uint32_t missing = 0; missing < SERVOS; missing++) {
@@ -38,7 +39,7 @@ static void plain_reads_follow_while_a_servo_is_missing(void)
             CHECK(i == missing || (measures(i, 2.0 + 0.1 * i) && lost == (i > missing ? 1U : 0U)));
         }
         CHECK(before == 0);
-        go_on(2.0, 400 * MS); /* it is no longer read */
+        go_on(2.0, 400 * MS); /* the servo is no longer read */
         CHECK(s.fast - fast > 10 && m->drive[(missing + 1) % SERVOS].state.mode == DRIVE_ARMED);
     }
 }
@@ -72,7 +73,7 @@ static void a_truncated_or_damaged_packet_gives_no_wrong_values(void)
         go_on(1.0, 300 * MS);
         plain = s.plain;
         go_on(1.0, 100 * MS);
-        CHECK(s.plain == plain); /* fast again */
+        CHECK(s.plain == plain); /* fast reads again */
     }
 }
 
@@ -108,7 +109,7 @@ static void a_refusal_counts_for_its_servo_and_an_alert_is_no_refusal(void)
     CHECK(s.plain == 0 && measures(0, 1.5) && measures(1, 1.6) && measures(2, 1.7));
 }
 
-/* Of the fast read before, which was given up. */
+/* A late packet that answers the fast read before, which was given up. */
 static void a_late_packet_of_all_answers_no_plain_read(void)
 {
     const uint8_t units[SERVOS] = {1, 2, 3};
@@ -135,7 +136,7 @@ static void a_late_packet_of_all_answers_no_plain_read(void)
     }
 }
 
-/* Of an older firmware. */
+/* Older firmware has no fast reads. */
 static void servos_without_fast_reads_get_them_less_and_less_often(void)
 {
     begin_armed(ECHO_NONE);
@@ -172,7 +173,7 @@ static void only_complete_plain_reads_count_towards_the_next_fast_one(void)
         line_fast_end(&machine, true);
         CHECK(machine.plain_cycles == left);
     }
-    machine.group.asked_count = 0; /* none was read */
+    machine.group.asked_count = 0; /* no servo was read */
     line_fast_end(&machine, true);
     line_fast_end(&machine, false);
     CHECK(machine.plain_cycles == 5);
@@ -211,13 +212,13 @@ static void a_table_whose_servos_cannot_answer_in_one_packet_is_refused(void)
     table.group.fast = 0;
     CHECK(line_table_check(&table, name) == NULL);
     table = table_of(ECHO_NONE);
-    for (uint32_t i = 0; i < SERVOS; i++) { /* no data at all */
+    for (uint32_t i = 0; i < SERVOS; i++) { /* replies without data */
         table.drive[i].cyclic[1].frame.reply_bytes = 11;
     }
     CHECK(line_fast_is_good(&table));
     line_table one = table;
     one.drive_count = 1;
-    one.drive[0].cyclic[1].frame.reply_bytes = 10; /* less than a status has */
+    one.drive[0].cyclic[1].frame.reply_bytes = 10; /* shorter than a status */
     CHECK(!line_fast_is_good(&one));
     table.drive[0].cyclic[1].frame.reply_seal = SEAL_SUM;
     CHECK(!line_fast_is_good(&table));

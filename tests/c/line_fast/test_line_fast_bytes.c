@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The bytes of a fast sync read: in pieces, beside noise, and which check sums count. */
+ * The bytes of a fast sync read: in pieces, next to noise, and which check sums count. */
 #include "fast_wire.h"
 
 static void a_packet_with_a_two_byte_length_has_the_answers_of_all_servos(void)
@@ -26,7 +26,7 @@ static void a_packet_with_a_two_byte_length_has_the_answers_of_all_servos(void)
     CHECK(m->group.waiting == 0 && m->noise_bytes == 0);
     for (uint32_t i = 0; i < SERVOS; i++) {
         CHECK(measures(i, 7.0 + 0.01 * i) && m->drive[i].failures == 0);
-        /* all of it came at once */
+        /* the whole packet arrived at once */
         int64_t behind_ns = (SERVOS - 1 - i) * (MANY + 4) * CHARACTER_NS;
         CHECK(m->drive[i].smoothed_ns == DELAY_NS + behind_ns + 1);
     }
@@ -60,7 +60,7 @@ static void look_until_all_answer_in_one_packet(void)
     CHECK(s.count == HEAD + SERVOS * BLOCK);
 }
 
-/* After this many bytes of noise. */
+/* The packet arrives after `noise` bytes of noise. */
 static void receive_after_noise(uint32_t noise, const uint8_t *packet_of_all, uint32_t count)
 {
     uint8_t bytes[FRAME_BYTES_MAX];
@@ -107,7 +107,7 @@ static void a_block_after_the_last_one_is_no_answer(void)
     look_until_all_answer_in_one_packet();
     uint8_t bytes[HEAD + (SERVOS + 1) * BLOCK] = {0};
     memcpy(bytes, s.bytes, s.count);
-    bytes[HEAD + 1] = 9; /* another servo's */
+    bytes[HEAD + 1] = 9; /* of another servo */
     bytes[HEAD + SERVOS * BLOCK + 1] = 1;
     for (uint32_t i = 0; i <= SERVOS; i++) {
         rtu_seal(bytes, HEAD + (i + 1) * BLOCK, SEAL_STUFFED);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The cycle of bus servos: one request for all of them, and each answers for itself. */
+ * The cycle of bus servos: one request to all of them, and each of them answers. */
 #include <math.h>
 
 #include "servo_wire.h"
@@ -39,7 +39,7 @@ static void stamps_of_replies_are_in_their_order(void)
         servos_step(1.0, 1);
     }
     CHECK(m->joint[1].feedback.stamp_ns > m->joint[0].feedback.stamp_ns);
-    /* all of them came at once */
+    /* all replies arrived at once */
     CHECK(m->joint[2].feedback.stamp_ns >= m->joint[1].feedback.stamp_ns);
 }
 
@@ -56,7 +56,7 @@ static void a_servo_that_is_not_armed_gets_no_set_point(void)
     CHECK(s.goal[0] == 100 && s.goal[1] == 0 && s.sync_writes > 0);
 }
 
-/* Its power-off may be lost. */
+/* Zero comes before the power-off, because that may be lost. */
 static void a_servo_that_is_stood_down_gets_zero_at_once(void)
 {
     servos_begin(2, ECHO_NONE);
@@ -85,11 +85,11 @@ static void a_silent_servo_does_not_cost_the_answers_of_others(void)
             oldest_ns = age_ns > oldest_ns ? age_ns : oldest_ns;
         }
     }
-    CHECK(oldest_ns < 50 * SERVO_MS); /* one wait for the silent servo, and a period */
+    CHECK(oldest_ns < 50 * SERVO_MS); /* the wait for the silent servo, and one period */
     CHECK(m->drive[2].count.cycles - before > 100);
     CHECK(m->drive[1].state.mode == DRIVE_UNRESPONSIVE && m->drive[1].count.no_reply >= 3);
     CHECK(s.goal[0] == 200 && s.goal[2] == 220);
-    CHECK(s.goal[1] == 0); /* its replies are lost, but it receives: it gets its zero */
+    CHECK(s.goal[1] == 0); /* it does not answer, but may receive: it gets zero */
     s.silent = 0;
     servos_go_on(2.0, 3000 * SERVO_MS);
     CHECK(m->drive[1].state.mode == DRIVE_BACK && !s.torque[1] && s.goal[1] == 0);
@@ -116,7 +116,7 @@ static void a_damaged_reply_is_counted_and_its_servo_keeps_its_set_points(void)
     CHECK(fabs(m->joint[0].feedback.velocity_rad_s - 3.0) < 1e-9);
 }
 
-/* A reply to the request before is a good reply of this servo: only its time distinguishes it
+/* A late reply to the last request is a correct reply of this servo. Only its time distinguishes it
  * from the one that is due. */
 static void a_late_reply_is_not_taken_for_the_next_request_s(void)
 {
@@ -132,13 +132,13 @@ static void a_late_reply_is_not_taken_for_the_next_request_s(void)
     do {
         servos_step(2.0, 1);
     } while ((s.asked_last & 1) == 0 || s.out.send == NULL);
-    servos_step(2.0, 1); /* its reply: the late one's, or its own */
+    servos_step(2.0, 1); /* the reply may be the late one or its own */
     CHECK(m->joint[0].feedback.stamp_ns == stamp_ns && m->drive[0].held_until_ns > s.now_ns);
     while (s.now_ns < failed_ns + 100 * SERVO_MS) {
         servos_step(2.0, 1);
         CHECK(s.goal[0] == 200 || s.goal[0] == 100);
     }
-    /* held: it is not read, and still gets set-points */
+    /* the servo is held: it is not read, and still gets set-points */
     CHECK(s.goal[0] == 200 && (s.asked_last & 1) == 0);
     servos_go_on(2.0, 400 * SERVO_MS);
     CHECK((s.asked_last & 1) != 0 && m->joint[0].feedback.stamp_ns > failed_ns + 100 * SERVO_MS);
@@ -203,7 +203,7 @@ static void at_the_end_all_come_to_rest_and_lose_their_torque(void)
     }
 }
 
-/* In a group, one exchange reads all servos: the last one waits for those before it. */
+/* In a group one exchange reads all servos, so the last one waits for the ones before it. */
 static void a_servo_whose_reply_is_awaited_is_not_left_alone(void)
 {
     static const uint32_t WORK[] = {WORK_NONE, WORK_GROUP};
@@ -235,7 +235,7 @@ static void a_group_waits_for_its_slowest_awaited_servo(void)
     }
     for (uint32_t waiting = 0; waiting < 16; waiting++) {
         int64_t longest_ns = 0;
-        for (uint32_t i = 0; i < 3; i++) { /* the table has no fourth one */
+        for (uint32_t i = 0; i < 3; i++) { /* the table has no fourth servo */
             int64_t wait_ns = line_deadline_ns(m, i);
             CHECK(wait_ns > 0);
             longest_ns = (waiting >> i & 1) != 0 && wait_ns > longest_ns ? wait_ns : longest_ns;
@@ -264,7 +264,7 @@ static void servos_take_turns_in_reporting_whether_they_have_power(void)
     for (uint32_t round = 0; round < 3 * 8; round++) {
         begin_ready(4);
         line_machine *machine = &s.machine;
-        machine->table.drive_count = 3; /* the fourth is no member */
+        machine->table.drive_count = 3; /* the fourth servo is no member */
         machine->drive[3].state.mode = DRIVE_ARMED;
         for (uint32_t i = 0; i < 3; i++) {
             machine->drive[i].cycle_count = round % 8, machine->drive[i].state.enabled = round / 8;
@@ -310,7 +310,7 @@ static void a_servo_that_got_motion_counts_as_moving_until_it_gets_zero(void)
         machine->drive[1].state.sent_motion = true;
     CHECK(line_group_begin(machine, s.now_ns, &out));
     CHECK(m->drive[0].cycle_motion && m->drive[0].state.sent_motion);
-    CHECK(!m->drive[1].cycle_motion && m->drive[1].state.sent_motion); /* its zero may be lost */
+    CHECK(!m->drive[1].cycle_motion && m->drive[1].state.sent_motion); /* the zero may be lost */
     CHECK(out.request[4] == 0x83 && out.request[7] == 7 && out.request[10] == 8);
 }
 
@@ -349,7 +349,7 @@ static void the_first_replies_of_a_group_show_whether_the_adapter_receives_itsel
     }
 }
 
-/* Dynamixel protocol 2.0: unit and length follow a longer head. */
+/* In Dynamixel protocol 2.0 the head is longer, and unit and length are behind it. */
 static void a_group_of_stuffed_packets_has_its_units_and_its_length(void)
 {
     static const uint8_t WRITE[] = {0xFF, 0xFF, 0xFD, 0, 0xFE, 7, 0, 0x83, GOAL, 0, 2, 0};
@@ -383,7 +383,7 @@ static void a_group_of_stuffed_packets_has_its_units_and_its_length(void)
         machine->table.drive[i].cyclic[1].frame.reply_bytes = 15;
     }
     CHECK(line_group_is_good(&machine->table));
-    group->write_bytes = group->read_bytes = 7; /* a head ends with its length */
+    group->write_bytes = group->read_bytes = 7; /* the length is at the end of the head */
     CHECK(line_group_is_good(&machine->table));
     group->write_bytes = 6;
     CHECK(!line_group_is_good(&machine->table));
@@ -412,7 +412,7 @@ static void replies_that_come_byte_by_byte_are_the_same_replies(void)
     }
 }
 
-/* An adapter that receives itself returns its own request first: anything else means that both
+/* An adapter that receives itself returns its own request first. Other bytes mean that two devices
  * have sent at once. */
 static void a_collision_ends_the_exchange_and_silence_does_not(void)
 {
@@ -429,7 +429,7 @@ static void servos_that_answered_continue_in_turn(void)
 {
     group_goes_out(3, ECHO_NONE);
     s.machine.group.answered = 7;
-    s.machine.drive[1].state.mode = DRIVE_OFF; /* since its answer */
+    s.machine.drive[1].state.mode = DRIVE_OFF; /* switched off after its answer */
     CHECK(line_group_goes_on(&s.machine) && m->current == 0 && m->drive[0].stage == STAGE_EXTRA);
     CHECK(line_group_goes_on(&s.machine) && m->current == 2 && m->drive[2].stage == STAGE_EXTRA);
     CHECK(!line_group_goes_on(&s.machine) && m->group.answered == 0);

@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_group_bytes: what comes after a request to all servos, byte by byte: replies, noise
- * between them, too much. */
+ * test_line_group_bytes: bytes that arrive after a request to all servos: replies, noise between
+ * them, too many bytes. */
 #include "servo_wire.h"
 
 static const int64_t SERVO_MS = 1000000;
 static const line_machine *const m = &s.machine;
 
-/* Appends a servo's reply with this number. */
+/* Appends the reply of servo `number`. Returns the new count of bytes. */
 static uint32_t put_reply(uint8_t *bytes, uint32_t count, uint32_t number)
 {
     const uint8_t reply[] = {0xFF, 0xFF, (uint8_t)(number + 7), 4, 0, (uint8_t)(10 + number), 0, 0};
@@ -47,7 +47,7 @@ static void noise_before_between_and_after_replies_is_counted_and_costs_no_reply
     }
 }
 
-/* It answers an earlier exchange; this one does not read its servo. */
+/* The late reply answers an earlier exchange; this one does not read its servo. */
 static void a_late_reply_after_a_due_one_is_not_noise(void)
 {
     uint8_t bytes[32];
@@ -69,7 +69,7 @@ static void a_late_reply_after_a_due_one_is_not_noise(void)
     CHECK(m->joint[1].feedback.stamp_ns == stamp_ns);
 }
 
-/* When its values were taken is not known. */
+/* The time at which its values were taken is unknown. */
 static void a_reply_that_takes_longer_than_usual_is_not_read(void)
 {
     for (int64_t longer_ns = 0; longer_ns < 2; longer_ns++) {
@@ -85,7 +85,7 @@ static void a_reply_that_takes_longer_than_usual_is_not_read(void)
     }
 }
 
-/* Each reply takes its time on the wire: they are stamped one reply apart. */
+/* Each reply takes time on the wire, so the stamps differ by the time of one reply. */
 static void replies_that_come_at_once_are_stamped_one_reply_apart(void)
 {
     group_goes_out(3, ECHO_NONE);
@@ -122,7 +122,7 @@ static void bytes_beyond_the_buffer_end_the_exchange(void)
     CHECK(m->group.waiting == 3 && m->work == WORK_GROUP);
 }
 
-/* A request without a reply ends with its time. */
+/* A request without a reply ends after its time on the wire. */
 static void set_points_without_a_reply_take_their_time(void)
 {
     group_goes_out(2, ECHO_NONE);
@@ -137,8 +137,8 @@ static void set_points_without_a_reply_take_their_time(void)
     CHECK(m->drive[0].failures == 0 && m->drive[1].failures == 0 && m->round_trip_ns == 0);
 }
 
-/* The first replies decide whether the adapter receives itself; silence decides nothing, and no
- * reply is no time. */
+/* The first replies decide whether the adapter receives itself. Silence decides nothing, and an
+ * incomplete exchange gives no round trip. */
 static void silence_decides_no_echo_and_measures_no_round_trip(void)
 {
     for (uint32_t silent = 1; silent < 4; silent++) {
@@ -159,7 +159,7 @@ static void silence_decides_no_echo_and_measures_no_round_trip(void)
     CHECK(m->round_trip_ns == m->end_ns + SERVO_MS - m->start_ns);
 }
 
-/* Where no drive is understood any more, the adapter may be another one. */
+/* When no drive is understood any more, another adapter may be plugged in. */
 static void a_line_on_which_all_reads_fail_decides_its_echo_again(void)
 {
     for (uint32_t silent = 1; silent < 3; silent++) {
@@ -182,7 +182,7 @@ static void a_line_on_which_all_reads_fail_decides_its_echo_again(void)
 static void after_an_exchange_the_line_is_silent_for_a_gap(void)
 {
     group_goes_out(1, ECHO_NONE);
-    s.machine.table.gap_ns = 5 * SERVO_MS; /* longer than what it has waited */
+    s.machine.table.gap_ns = 5 * SERVO_MS; /* longer than the wait so far */
     uint8_t bytes[32];
     int64_t now_ns = m->end_ns + SERVO_MS;
     come(bytes, put_reply(bytes, 0, 0), now_ns);

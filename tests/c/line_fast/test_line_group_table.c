@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_group_table: which tables of bus servos are refused: what one request cannot carry,
- * what its answers cannot be. */
+ * test_line_group_table: which tables of bus servos are refused, because one request cannot carry
+ * them or their answers cannot be received. */
 #include "servo_wire.h"
 
 static void an_invalid_group_is_refused(void)
@@ -19,7 +19,7 @@ static void an_invalid_group_is_refused(void)
     REFUSED(s.table.group.write_bytes = 4);
     REFUSED(s.table.group.read_bytes = 4);
     REFUSED(s.table.group.data_byte = 8);
-    REFUSED(s.table.group.data_byte = 7); /* a set-point would not be carried */
+    REFUSED(s.table.group.data_byte = 7); /* the set-point would not be part of the data */
     REFUSED(s.table.drive[1].cyclic_count = 1);
     REFUSED(s.table.drive[1].cyclic[0].setpoint_count = 0);
     REFUSED(s.table.drive[1].cyclic[0].setpoint[1] = (line_setpoint){.byte = 5};
@@ -58,7 +58,7 @@ static void only_packets_of_servos_make_a_group(void)
     }
 }
 
-/* They end before the check sum. */
+/* The set-points end before the check sum. */
 static void a_group_has_room_for_its_set_points(void)
 {
     servos_begin(2, ECHO_NONE);
@@ -69,10 +69,10 @@ static void a_group_has_room_for_its_set_points(void)
     }
     CHECK(line_group_is_good(&s.table)); /* one byte of data */
     s.table.group.data_byte++;
-    CHECK(!line_group_is_good(&s.table)); /* the check sum's place */
+    CHECK(!line_group_is_good(&s.table)); /* this byte belongs to the check sum */
 }
 
-/* Stuffing adds a byte to three at most. */
+/* Stuffing adds at most one byte to three. */
 static void all_that_is_sent_to_a_group_fits_into_one_request(void)
 {
     static const uint32_t SEALS[] = {SEAL_SUM, SEAL_STUFFED},
@@ -94,7 +94,7 @@ static void all_that_is_sent_to_a_group_fits_into_one_request(void)
     }
 }
 
-/* With the copy of the request that an adapter may receive. */
+/* The received bytes include a copy of the request, which some adapters return. */
 static void all_that_a_group_answers_can_be_received(void)
 {
     static const uint32_t SEALS[] = {SEAL_SUM, SEAL_STUFFED},

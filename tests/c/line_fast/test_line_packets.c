@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Lines of controllers whose answers name no unit and whose zero is regulated: packets of a
+ * Lines of controllers whose answers contain no unit and which hold a speed of zero: packets of a
  * RoboClaw. */
 #include "line_wire.h"
 
@@ -49,7 +49,7 @@ static void begin_packets(uint32_t drives)
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
 }
 
-/* One look; what is sent is answered, or not. The wheels do as commanded. */
+/* Makes one look. `answers`: whether a request gets its answer. `speed`: what the wheels report. */
 static void look(bool answers, int16_t speed)
 {
     uint32_t enabled = w.machine.newest.enabled;
@@ -102,7 +102,7 @@ static void zero_goes_only_to_motors_that_are_armed_or_coming_to_rest(void)
     w.machine.control.shut_down = 1;
     look_until_sent(SPEEDS);
     for (uint32_t i = 0; i < 10; i++) {
-        /* it turns: held at zero */
+        /* the drive turns: it is held at zero */
         CHECK(sent_bytes == 2 || (sent[1] == SPEEDS && rtu_read(sent + 2, FORM_I16) == 0));
         look(true, 300);
     }
@@ -123,7 +123,7 @@ static void a_late_answer_belongs_to_no_request(void)
         asked = sent[0];
     }
     int64_t failed_ns = w.now_ns, bound_ns = w.machine.bound_ns;
-    w.bytes[0] = 0xFF; /* when the time is over, and no other drive has been read */
+    w.bytes[0] = 0xFF; /* arrives after the time of its request, before another drive is read */
     line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out);
     CHECK(w.out.send == NULL && w.machine.work == WORK_NONE);
     line_machine_step(&w.machine, failed_ns + bound_ns / 2, w.bytes, 1, &w.out);

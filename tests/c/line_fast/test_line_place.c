@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Where a position on a serial line may begin: in every target of every exchange, and in the
- * table. */
+ * The known position that a target on a serial line needs: in every target of every exchange, and
+ * in the table. */
 #include "position_wire.h"
 
 static void a_request_is_sent_only_when_each_of_its_positions_is_known(void)
@@ -11,7 +11,7 @@ static void a_request_is_sent_only_when_each_of_its_positions_is_known(void)
     want(0.5, 1);
     CHECK(line_sends(m, 0, 0));
     turn->setpoint[1] = turn->setpoint[0];
-    turn->setpoint[1].joint = 1; /* the core has no place for it */
+    turn->setpoint[1].joint = 1; /* the core has no position for this joint */
     CHECK(line_sends(m, 0, 0));
     turn->setpoint_count = 2;
     CHECK(!line_sends(m, 0, 0));
@@ -24,7 +24,7 @@ static void add_target(uint32_t turn, uint32_t n, uint32_t joint)
     added->joint = joint;
 }
 
-/* Only joint 0 is where its first target may begin. */
+/* Only the position of joint 0 is known. */
 static void begin_with_one_known_position(void)
 {
     begin();
@@ -39,7 +39,7 @@ static void a_missing_position_is_found_in_every_target_of_every_exchange(void)
 {
     begin_with_one_known_position();
     line_drive *drive = &m->table.drive[0];
-    add_target(0, 1, 1), add_target(2, 0, 1); /* which the table does not have */
+    add_target(0, 1, 1), add_target(2, 0, 1); /* beyond the count */
     drive->cyclic[2].setpoint_count = 1;
     CHECK(drive->cyclic_count == 2 && !line_place_is_missing(m, 0));
     drive->cyclic[0].setpoint_count = 2;
@@ -105,7 +105,7 @@ static void tables_with_unsafe_positions_are_refused(void)
         CHECK(refused("drive[0].setpoint.raw_per_s"));
     }
     begin();
-    setpoint->kind = SETPOINT_VELOCITY; /* rest would be at 2000 */
+    setpoint->kind = SETPOINT_VELOCITY; /* 0 rad/s would be 2000 raw, not 0 */
     CHECK(refused("drive[0].setpoint.raw_offset"));
     begin();
     w.table.drive[0].probe = 1;
@@ -144,7 +144,7 @@ static void a_position_is_looked_for_in_every_field_of_every_exchange(void)
     drive->cyclic[0] = reads_back, drive->cyclic[1] = writes;
     drive->probe = 1, drive->extra_count = 0;
     CHECK(drive->cyclic_count == 2 && is_good());
-    drive->cyclic[2] = writes; /* which the table does not have */
+    drive->cyclic[2] = writes; /* beyond the count */
     drive->cyclic[2].field_count = 1;
     CHECK(is_good());
     drive->cyclic[1].field_count = 1, drive->cyclic[1].field[0] = reads_back.field[0];

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Positions on a serial line: 0 is a position like any other, so a drive that must not move is
- * sent nothing. */
+ * Positions on a serial line: 0 is a position like any other, so a drive that must not move gets no
+ * target. */
 #include "position_wire.h"
 
 static void a_position_is_scaled_from_its_zero_and_held_within_its_range(void)
@@ -85,7 +85,7 @@ static void old_set_points_stop_it_without_sending_a_position(void)
     CHECK(targets == sent);
 }
 
-/* Its probes are its stop and a read: the first set-point exchange "with zeros" would be a
+/* The probes are the stop and a read: the first set-point exchange with zeros would contain a
  * target. */
 static void a_drive_that_does_not_answer_gets_its_stop_and_no_position(void)
 {
@@ -120,9 +120,9 @@ static void whether_its_counter_has_a_reference_is_reported(void)
     }
 }
 
-/* ---------------------------------------------------------------------- where it begins */
-/* It is at 1500: a target of 0.5 rad. 2 rad/s are 2000 counts/s, 200 in the time for which a
- * position is fresh. */
+/* --------------------------------------------------------------------- the first target */
+/* The drive is at 1500, the place of 0.5 rad. 2 rad/s are 2000 counts/s: 200 counts in the time for
+ * which a position is fresh. */
 static void begin_at_limited_speed(void)
 {
     begin();
@@ -134,7 +134,7 @@ static void the_first_target_is_its_own_position_and_later_ones_move_from_there(
 {
     begin_at_limited_speed();
     arm_it();
-    w.place = 1490; /* it yields a little */
+    w.place = 1490; /* the shaft yields a little */
     go_to(NAN, 0, 50 * MS);
     CHECK(targets == 0);
     while (targets == 0) {
@@ -214,8 +214,8 @@ static void a_drive_with_a_position_out_of_range_old_or_unknown_is_not_armed(voi
     }
 }
 
-/* Armed, and its position is lost before its first target: no power. Its targets and its
- * position are signed. */
+/* An armed drive whose position is lost before its first target loses its power. Its targets and
+ * its position are signed. */
 static void a_position_lost_before_the_first_target_takes_the_power(void)
 {
     begin_at_limited_speed();
@@ -231,7 +231,7 @@ static void a_position_lost_before_the_first_target_takes_the_power(void)
     CHECK(m->drive[0].state.mode == DRIVE_READY && w.power_offs[0] > 0 && targets == 0);
 }
 
-/* Armed again it begins at its own position, not at its old target. */
+/* After a new arming the first target is the drive's position, not its last target. */
 static void each_arming_begins_at_the_position_of_that_moment(void)
 {
     begin_at_limited_speed();
@@ -240,7 +240,7 @@ static void each_arming_begins_at_the_position_of_that_moment(void)
     CHECK(newest_target == 1500);
     request(0, DRIVE_STAND_DOWN);
     go_to(NAN, 0, 100 * MS);
-    w.place = 3000; /* by hand */
+    w.place = 3000; /* moved by hand */
     go_to(NAN, 0, 100 * MS);
     request(0, DRIVE_ARMED);
     uint32_t before = targets;

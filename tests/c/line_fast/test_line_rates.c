@@ -1,14 +1,14 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What one dead drive costs the others: their rate, and the age of what is known of them. On a
- * wire of virtual time. */
+ * The effect of one dead drive on the others: their rate, and the age of their samples. The wire is
+ * in virtual time. */
 #include "line_wire.h"
 
 enum { DRIVES = 4, DEAD = 3 };
 
 static const int64_t S = 1000000000;
 
-/* Of one stretch of time: the slowest living drive's cycles, and the longest time between two of
- * its samples. */
+/* Figures of a stretch of time: the cycles of the slowest drive, and the longest time between two
+ * of its samples. Dead drives do not count. */
 typedef struct {
     uint64_t cycles;
     int64_t age_ns;
@@ -55,7 +55,7 @@ static void begin_four(int64_t period_ns)
     (void)run_for(S, DRIVES);
 }
 
-/* `healthy` is of four seconds. */
+/* Compares the figures `now` with `healthy`, which are those of four seconds. */
 static void judge(const char *when, int64_t period_ns, figures healthy, figures now,
                   uint64_t seconds)
 {
@@ -84,7 +84,7 @@ static void the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(
 
 int main(void)
 {
-    /* more than the wire carries */
+    /* more cycles than the wire can carry */
     the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(1 * MS);
     the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(50 * MS);
     the_others_keep_nine_tenths_of_their_rate_and_samples_of_two_cycles(100 * MS);

@@ -1,6 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Packets of bus servos. The bytes are those of the makers' manuals and SDKs, not of our own
- * code. */
+ * Packets of bus servos. Their bytes are from the makers' manuals and SDKs, not from motord. */
 #include <string.h>
 
 #include "check.h"
@@ -36,7 +35,7 @@ static void check_sums_match_the_manual(void)
     frame.request[8] = frame.request[9] = 0;
     rtu_finish(&frame);
     CHECK(frame.request_bytes == sizeof PING && memcmp(frame.request, PING, sizeof PING) == 0);
-    /* Feetech: ping of ID 1 */
+    /* a ping of ID 1 in the Feetech protocol */
     uint8_t ping[] = {0xFF, 0xFF, 0x01, 0x02, 0x01, 0x00};
     rtu_seal(ping, sizeof ping, SEAL_SUM);
     CHECK(ping[5] == 0xFB && rtu_is_sealed(ping, sizeof ping, SEAL_SUM));
@@ -46,7 +45,7 @@ static void check_sums_match_the_manual(void)
 
 static void the_shortest_packet_with_a_check_sum_has_four_bytes(void)
 {
-    const uint8_t short_one[] = {0xFF, 0xFF, 0xFF}; /* its last byte is the sum of nothing */
+    const uint8_t short_one[] = {0xFF, 0xFF, 0xFF}; /* its last byte is the sum of no bytes */
     CHECK(!rtu_is_sealed(short_one, sizeof short_one, SEAL_SUM));
     const uint8_t shortest[] = {0xFF, 0xFF, 0x01, 0xFE};
     CHECK(rtu_is_sealed(shortest, sizeof shortest, SEAL_SUM));
@@ -75,7 +74,7 @@ static void a_status_is_found_whole_good_and_of_the_right_servo_only(void)
     frame.match[4] = 2;
     CHECK(found_in(&frame, POSITION, sizeof POSITION).kind == RECEIVED_MORE);
     frame = read_of(sizeof POSITION - 1);
-    /* of another request */
+    /* the answer to another request */
     CHECK(found_in(&frame, POSITION, sizeof POSITION).kind == RECEIVED_MORE);
 }
 
@@ -88,7 +87,7 @@ static void an_error_number_is_a_refusal_and_an_alert_is_not(void)
     rtu_finish(&status);
     received found = found_in(&frame, status.request, status.request_bytes);
     CHECK(found.kind == RECEIVED_REFUSED && found.exception == 7 && found.bytes == 11);
-    status.request[8] = 0x80; /* hardware error: the request is carried out */
+    status.request[8] = 0x80; /* the alert bit for a hardware error: the request was carried out */
     rtu_finish(&status);
     CHECK(found_in(&frame, status.request, status.request_bytes).kind == RECEIVED_ANSWER);
     status.request[8] = 0x87;
@@ -96,7 +95,7 @@ static void an_error_number_is_a_refusal_and_an_alert_is_not(void)
     CHECK(found_in(&frame, status.request, status.request_bytes).kind == RECEIVED_REFUSED);
 }
 
-/* A status of four bytes that hold a head: sync'ed readers would begin there. */
+/* A status whose four bytes of data contain a head, at which a receiver would begin anew. */
 static void stuffing_is_added_and_removed(void)
 {
     static const uint8_t data[][4] = {{0xFF, 0xFF, 0xFD, 0x00},
@@ -124,12 +123,13 @@ static void stuffing_is_added_and_removed(void)
     CHECK(rtu_unstuff(most, FRAME_BYTES_MAX + 1, plain) == 0);
 }
 
-/* Before the length and in the check sum it is what it is, and with another byte it is no head. */
+/* A head before the length or in the check sum is not stuffed, nor are bytes that differ from a
+ * head. */
 static void a_head_is_stuffed_between_length_and_check_sum_only(void)
 {
     enum { COUNT = 20, NOT_STUFFED = 2 };
     for (uint32_t at = 2; at < COUNT - 1; at++) {
-        /* which of the four bytes is another one; 4: none */
+        /* index of the byte that differs from a head; 4: no byte */
         for (uint32_t other = 0; other < 5; other++) {
             uint8_t wire[COUNT] = {0}, plain[FRAME_BYTES_MAX];
             wire[at - 2] = wire[at - 1] = 0xFF, wire[at] = wire[at + 1] = 0xFD;
@@ -171,13 +171,14 @@ static void the_longest_packet_has_room_for_its_stuffing(void)
     rtu_finish(&frame);
     CHECK(frame.request_bytes == FRAME_BYTES_MAX - 1 && frame.request[FRAME_BYTES_MAX - 4] == 0x11);
     CHECK(rtu_is_sealed(frame.request, FRAME_BYTES_MAX - 1, SEAL_STUFFED));
-    /* what does not fit is cut, and the frame stays within its place: a head at its very end, */
+    /* Bytes that do not fit are cut, and the frame stays within its memory. Case: a head at its
+     * very end. */
     frame = (line_frame){.request_bytes = FRAME_BYTES_MAX, .request_seal = SEAL_STUFFED};
     frame.request[FRAME_BYTES_MAX - 5] = frame.request[FRAME_BYTES_MAX - 4] = 0xFF,
                                     frame.request[FRAME_BYTES_MAX - 3] = 0xFD;
     rtu_finish(&frame);
     CHECK(frame.request_bytes == FRAME_BYTES_MAX - 1);
-    /* and nothing but heads */
+    /* case: only heads */
     frame = (line_frame){
         .request_bytes = FRAME_BYTES_MAX, .reply_bytes = 77, .request_seal = SEAL_STUFFED};
     for (uint32_t i = 0; i < FRAME_BYTES_MAX; i++) {
@@ -189,7 +190,7 @@ static void the_longest_packet_has_room_for_its_stuffing(void)
     CHECK(rtu_is_sealed(frame.request, frame.request_bytes, SEAL_STUFFED));
 }
 
-/* Eleven bytes are the shortest one: shorter ones have no error number. */
+/* A status has at least eleven bytes: shorter packets have no error number. */
 static void a_packet_without_an_error_number_is_not_a_status(void)
 {
     line_frame frame = read_of(11);
@@ -231,11 +232,11 @@ static void values_are_low_byte_first_except_in_one_series(void)
     CHECK(rtu_read(minus_zero, FORM_M16_LE) == 0);
     const uint8_t minus_zero_high_first[2] = {0x04, 0x00};
     CHECK(rtu_read(minus_zero_high_first, FORM_M16_BIT10) == 0);
-    /* bits that no number of this form has are not zero: a search for zero does not find them */
+    /* bits beyond the form are not zero, so a search for zero does not find them */
     const uint8_t beyond[2] = {0x08, 0x00}, beyond_below[2] = {0x0C, 0x01};
     CHECK(rtu_read(beyond, FORM_M16_BIT10) == 0x800 &&
           rtu_read(beyond_below, FORM_M16_BIT10) == -0x801);
-    /* a counter of twelve bits continues below zero: -1 is one before 0 */
+    /* a counter of twelve bits continues below zero: -1 precedes 0 */
     const uint8_t below[2] = {0x01, 0x80};
     CHECK(((uint64_t)rtu_masked(rtu_read(below, FORM_M16_LE), 0xFFF, FORM_M16_LE) & 0xFFF) ==
           0xFFF);
@@ -243,7 +244,7 @@ static void values_are_low_byte_first_except_in_one_series(void)
 
 static void a_status_is_never_taken_for_an_instruction(void)
 {
-    /* the read of two bytes and its answer have one length and one beginning */
+    /* the read of two bytes and its answer have the same length and the same beginning */
     line_frame frame = {.request_bytes = 8,
                         .reply_bytes = 8,
                         .match_bytes = 4,
@@ -255,7 +256,7 @@ static void a_status_is_never_taken_for_an_instruction(void)
     CHECK(!rtu_answer_is_request(&frame, frame.request));
     uint8_t both[16];
     memcpy(both, frame.request, 8);
-    /* so far it is an echo */
+    /* so far it may be an echo */
     CHECK(rtu_find_answer(&frame, frame.request, 2, both, 8).kind == RECEIVED_MORE);
     memcpy(both + 8, (const uint8_t[]){0xFF, 0xFF, 0x01, 0x04, 0x00, 0x12, 0x03}, 7);
     rtu_seal(both + 8, 8, SEAL_SUM);

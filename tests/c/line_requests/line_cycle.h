@@ -9,7 +9,8 @@ enum { DIRECTION = 0x40, EXTRA = 0x50, NO_FRAME = 0xffff };
 
 static line_drive_state *drive;
 
-/* One drive that is sent magnitude and direction, and has two ranges that are read in turn. */
+/* A drive that is sent magnitude and direction, and has two extra ranges, which are read in
+ * turn. */
 static inline void begin_directions(double wanted_rad_s)
 {
     begin_with(2, 0);
@@ -40,7 +41,7 @@ static inline void begin_directions(double wanted_rad_s)
     drive = &w.machine.drive[0];
     drive->state.mode = DRIVE_ARMED;
     drive->state.enabled = drive->enabled_before = 1;
-    drive->cycle_count = 1; /* its extra range is read in every fourth cycle, and not in this one */
+    drive->cycle_count = 1; /* extra ranges are read in every fourth cycle, not in this one */
     drive->answered_ns = w.now_ns;
 }
 
@@ -49,7 +50,8 @@ static inline void want(double velocity_rad_s)
     w.machine.newest.joint[0].velocity_rad_s = velocity_rad_s;
 }
 
-/* The next frame of the cycle is in transit; register and value, NO_FRAME: the cycle is over. */
+/* Sends the next frame of the cycle. Returns its register and value; NO_FRAME: the cycle is
+ * over. */
 static inline uint32_t sends(void)
 {
     line_frame frame;

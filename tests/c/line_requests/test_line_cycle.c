@@ -3,7 +3,7 @@
  * end. */
 #include "line_cycle.h"
 
-/* A whole cycle: what is sent, and all of it is answered. */
+/* Makes a whole cycle, which sends these frames. Each one is answered. */
 static void goes(const uint32_t *frames, uint32_t count)
 {
     line_cycle_begin(&w.machine, 0, w.now_ns);
@@ -61,13 +61,13 @@ static void an_unacknowledged_or_outdated_direction_is_unknown(void)
     CHECK(sends() == frame_to(SPEED, 100));
     answers_with(0);
     CHECK(sends() == frame_to(DIRECTION, DIRECTION_REVERSE));
-    want(0.0); /* while it is in transit */
+    want(0.0); /* changes while the request is in transit */
     answers_with(0);
     CHECK(drive->direction_sent[0] == DIRECTION_UNKNOWN &&
           drive->direction_last[0] == DIRECTION_FORWARD);
 }
 
-/* Two exchanges of set-points: one of them that is not zero is a motion. */
+/* There are two exchanges of set-points. The drive moves if one of them is not zero. */
 static void motion_in_any_exchange_counts_as_motion(void)
 {
     for (uint32_t which = 0; which < 2; which++) {
@@ -107,7 +107,7 @@ static void each_of_several_directions_is_sent(void)
          status);
 }
 
-/* Rest would take its brake off: it comes with the power-off. */
+/* The direction "rest" would release the brake; it is sent with the power-off. */
 static void a_drive_that_is_stopping_gets_no_direction(void)
 {
     begin_directions(1.0);
@@ -171,7 +171,7 @@ static void cycles_follow_each_other_by_their_period_and_late_ones_are_not_caugh
     CHECK(drive->due_ns == w.now_ns);
 }
 
-/* The end of a cycle in which nothing is to be sent any more. */
+/* Ends a cycle that has no more frames to send. */
 static void ends(void)
 {
     line_frame frame;
@@ -212,7 +212,7 @@ static void the_end_of_a_cycle_evaluates_the_reports_of_the_drive(void)
     }
 }
 
-/* The fault came between the two reads: a power-off would clear it before it is read. */
+/* The fault came between the two reads. A power-off would clear it before it is read. */
 static void why_a_drive_disabled_itself_is_read_before_it_is_switched_off(void)
 {
     begin_directions(1.0);
@@ -241,7 +241,8 @@ static void why_a_drive_disabled_itself_is_read_before_it_is_switched_off(void)
           drive->state.stop == STOP_POWER_OFF);
 }
 
-/* Without power it may have lost its set-up: it is switched off, even if it has power again. */
+/* A drive that was without power may have lost its set-up. It is switched off, even if it has power
+ * again. */
 static void an_armed_drive_that_lost_its_power_for_a_cycle_is_disarmed(void)
 {
     for (uint32_t how = 0; how < 2; how++) {
@@ -254,7 +255,7 @@ static void an_armed_drive_that_lost_its_power_for_a_cycle_is_disarmed(void)
         CHECK(drive->state.stop == (how == 0 ? STOP_POWER_OFF : STOP_NOTHING));
     }
     begin_directions(0.0);
-    /* without power before it was armed, in the same cycle */
+    /* without power before its arming in the same cycle */
     drive->state.mode = DRIVE_READY, drive->enabled_before = 0;
     request(0, DRIVE_ARMED);
     w.machine.newest.stamp_ns = w.now_ns;
@@ -265,7 +266,7 @@ static void an_armed_drive_that_lost_its_power_for_a_cycle_is_disarmed(void)
     CHECK(drive->state.mode == DRIVE_ARMED && drive->state.stop == STOP_NOTHING);
 }
 
-/* Power that was not requested is taken in each cycle, and reported once. */
+/* Each cycle takes power that was not requested, and it is reported once. */
 static void a_drive_that_is_enabled_without_being_armed_is_switched_off(void)
 {
     for (uint32_t how = 0; how < 7; how++) {
@@ -277,7 +278,7 @@ static void a_drive_that_is_enabled_without_being_armed_is_switched_off(void)
         drive->state.stop = how == 4 ? STOP_QUICK : STOP_NOTHING;
         drive->cycle_start_ns = w.now_ns;
         drive->arming_until_ns = how == 5 ? w.now_ns + 1 : w.now_ns;
-        drive->state.still_enabled = how == 6 ? 2 : 1; /* of three tries */
+        drive->state.still_enabled = how == 6 ? 2 : 1; /* of three reports */
         drive->state.fault_reasons = drive->state.reported_reasons = DRIVE_FAULT_LEFT_ALONE;
         ends();
         bool nobody = how == 0 || how == 6;
@@ -302,7 +303,7 @@ static void the_core_gets_the_feedback_of_a_cycle_with_its_last_read(void)
     begin_directions(0.0);
     drive->direction_sent[0] = DIRECTION_REST;
     drive->cycle_count = 4;
-    /* after the last one */
+    /* beyond the count */
     w.machine.table.drive[0].cyclic[2] = w.machine.table.drive[0].cyclic[1];
     line_cycle_begin(&w.machine, 0, w.now_ns);
     w.machine.feedback_mask = 0;
@@ -314,12 +315,12 @@ static void the_core_gets_the_feedback_of_a_cycle_with_its_last_read(void)
     CHECK(w.machine.feedback_mask == 1 && w.machine.joint[0].feedback.velocity_rad_s == 1.5 &&
           drive->stage == STAGE_READ);
     CHECK(drive->answered_ns == w.machine.end_ns && drive->count.received_ns == w.now_ns);
-    drive->stage = STAGE_IDLE; /* it was stopped */
+    drive->stage = STAGE_IDLE; /* stopped in the cycle */
     CHECK(sends() == NO_FRAME);
 }
 
-/* Of two writes without a read the first answer completes the feedback; otherwise the last read
- * does. */
+/* After two writes without a read the first answer completes the feedback. With a read, only the
+ * read does. */
 static void writes_give_the_core_no_feedback_while_a_read_is_outstanding(void)
 {
     for (uint32_t reads = 0; reads < 2; reads++) {

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_exchange: one request on a serial line, to the nanosecond: how long the line waits,
- * and the result. */
+ * test_line_exchange: one request on a serial line, exact to the nanosecond: how long the line
+ * waits, and the result. */
 #include "line_wire.h"
 
 static const int64_t SENT_NS = 8 * CHARACTER_NS, HOST_NS = 20 * MS;
@@ -23,7 +23,7 @@ static void look(const uint8_t *bytes, uint32_t count)
     line_machine_step(m, w.now_ns, bytes, count, &w.out);
 }
 
-/* The request leaves in this look. */
+/* This look sends the request. */
 static void send(void)
 {
     w.now_ns = m->free_ns > w.now_ns ? m->free_ns : w.now_ns;
@@ -52,7 +52,7 @@ static uint32_t reply_of(const line_frame *frame, uint8_t *reply)
     return 7;
 }
 
-/* So much after the request's last byte. */
+/* Bytes arrive `after_ns` after the last byte of the request. */
 static void receive_after(int64_t after_ns, const uint8_t *bytes, uint32_t count)
 {
     w.now_ns = m->end_ns + after_ns;
@@ -72,7 +72,7 @@ static void fail(void)
     look(NULL, 0);
 }
 
-/* -------------------------------------------------------------------- how long it takes */
+/* ----------------------------------------------------------------- the wait for a reply */
 static void the_wait_for_a_reply_includes_the_time_of_the_request_s_bytes(void)
 {
     begin_with(2, 0);
@@ -94,7 +94,7 @@ static void the_wait_for_a_reply_includes_the_time_of_the_request_s_bytes(void)
     CHECK(line_machine_request(m, &next));
     w.now_ns = m->free_ns;
     look(NULL, 0);
-    CHECK(w.out.send != NULL && !m->sent); /* until the thread reports it */
+    CHECK(w.out.send != NULL && !m->sent); /* until the thread reports that it was sent */
 }
 
 static int64_t bound_of(uint32_t work, uint32_t worker)
@@ -111,12 +111,12 @@ static void each_kind_of_request_has_the_wait_of_its_drive(void)
     begin_with(2, 0);
     m->table.drive[0].turnaround_ns = 9 * MS + HOST_NS;
     m->drive[0].deadline_ns = 7 * MS, m->drive[1].deadline_ns = 6 * MS;
-    m->table.drive[2].turnaround_ns = 99 * MS; /* there is no third drive */
+    m->table.drive[2].turnaround_ns = 99 * MS; /* beyond the count of drives */
     m->transaction.request_turnaround_ns = 3 * MS;
     CHECK(bound_of(WORK_CYCLE, 0) == 7 * MS && bound_of(WORK_CYCLE, 1) == 6 * MS);
     CHECK(bound_of(WORK_STOP, 0) == 9 * MS + HOST_NS && bound_of(WORK_STOP, 1) == 5 * MS + HOST_NS);
     CHECK(bound_of(WORK_REQUEST, 0) == 3 * MS + HOST_NS);
-    /* no drive answers: the slowest has to have received it */
+    /* no drive answers: the slowest one needs time to receive it */
     CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 9 * MS);
     CHECK(bound_of(WORK_BROADCAST, 2) == 9 * MS);
     m->table.drive[1].turnaround_ns = 11 * MS + HOST_NS;
@@ -128,18 +128,18 @@ static void each_kind_of_request_has_the_wait_of_its_drive(void)
     CHECK(bound_of(WORK_BROADCAST, LINE_DRIVES_MAX) == 5 * MS);
 }
 
-/* A drive that has to be stopped does not wait until another one is late. */
+/* If another drive has to be stopped, the line does not wait as long as a reply may take. */
 static void a_wait_is_short_while_another_drive_has_to_be_stopped(void)
 {
     for (uint32_t waiting = 0; waiting < 5; waiting++) {
         begin_with(3, 0);
-        m->drive[1].smoothed_ns = 12 * MS; /* usual: that and half a millisecond */
+        m->drive[1].smoothed_ns = 12 * MS; /* the usual turn-around is half a ms more */
         send_request(1, read_frame(2));
         int64_t long_ns = m->until_ns,
                 short_ns = m->end_ns + 12 * MS + MS / 2 + line_reply_ns(m, &m->transaction.frame);
         CHECK(short_ns < long_ns);
         m->drive[waiting].state.stop = waiting < 3 ? STOP_QUICK : STOP_NOTHING;
-        m->drive[3].state.stop = STOP_QUICK; /* there is no fourth drive */
+        m->drive[3].state.stop = STOP_QUICK; /* beyond the count of drives */
         m->control.shut_down = waiting == 4;
         w.now_ns++;
         look(NULL, 0);
@@ -151,7 +151,7 @@ static void a_wait_is_short_while_another_drive_has_to_be_stopped(void)
     m->drive[1].smoothed_ns = 10 * MS;
     m->drive[0].state.stop = STOP_QUICK;
     look(NULL, 0);
-    /* it is over with the next look */
+    /* the next look ends the wait */
     CHECK(m->until_ns == w.now_ns + 1 && m->work == WORK_REQUEST);
     begin_with(2, 0);
     m->drive[0].state.stop = m->drive[1].state.stop = STOP_POWER_OFF;
@@ -160,10 +160,10 @@ static void a_wait_is_short_while_another_drive_has_to_be_stopped(void)
     look(NULL, 0);
     CHECK(w.out.send != NULL && m->work == WORK_STOP);
     look(NULL, 0);
-    CHECK(m->until_ns == 77); /* it has not left yet */
+    CHECK(m->until_ns == 77); /* the request has not been sent yet */
 }
 
-/* Entries after the drives are neither read nor changed. */
+/* Entries beyond the drives are neither read nor changed. */
 static void an_answer_to_a_broadcast_counts(void)
 {
     static line_joint_state before[JOINTS_MAX];
@@ -189,7 +189,7 @@ static void a_broadcast_has_its_own_wait(void)
     CHECK(m->answered && m->answer.kind == ANSWER_NO_REPLY && m->work == WORK_STOP);
 }
 
-/* ---------------------------------------------------------------------- what came of it */
+/* ------------------------------------------------------------------------------ results */
 static void only_the_answer_is_handed_on_with_its_time(void)
 {
     uint8_t bytes[10] = {0x55, 0x66};
@@ -237,8 +237,8 @@ static void bytes_that_are_no_answer_are_counted_once(void)
     CHECK(m->ours_ns == w.now_ns + GAP_NS);
 }
 
-/* One byte is the whole answer of a controller that names no unit; after a failure no drive is
- * read until it has passed. */
+/* The whole answer of a controller that sends no unit may be one byte. After a failure no drive is
+ * read until such a late answer must have arrived. */
 static void an_answer_may_be_one_byte_long(void)
 {
     line_frame frame = read_frame(1);
@@ -269,12 +269,12 @@ static void a_broadcast_ends_in_silence(void)
     m->table.broadcast_stop[0] = m->table.broadcast_stop[1] = frame;
     m->table.broadcast_stop[1].request[5] = DISABLE;
     m->broadcasts = 2;
-    m->drive[0].state.mode = DRIVE_READY; /* its turn has come, and waits */
+    m->drive[0].state.mode = DRIVE_READY; /* its cycle is due, and waits */
     send();
     m->drive[0].state.mode = DRIVE_OFF;
     CHECK(m->work == WORK_BROADCAST && m->broadcasts == 2 &&
           m->transaction.frame.request[5] == QUICK_STOP);
-    fail(); /* no drive answers, and the next one goes out */
+    fail(); /* no drive answers, and the next one is sent */
     CHECK(w.out.send != NULL && m->work == WORK_BROADCAST && m->broadcasts == 1 &&
           m->transaction.frame.request[5] == DISABLE);
     line_machine_sent(m, w.now_ns);
@@ -289,7 +289,7 @@ static void the_first_read_finds_out_whether_the_adapter_receives_itself(void)
     uint8_t bytes[16];
     for (uint32_t echoes = 0; echoes < 2; echoes++) {
         begin_with(1, ECHO_UNKNOWN);
-        send_request(0, frame_of(1, WRITE, CONTROL, 1)); /* its answer looks like the request */
+        send_request(0, frame_of(1, WRITE, CONTROL, 1)); /* its answer equals the request */
         answer();
         CHECK(m->echo == ECHO_UNKNOWN && m->answer.kind == ANSWER_OK);
         send_request(0, read_frame(1));
@@ -306,7 +306,8 @@ static void the_first_read_finds_out_whether_the_adapter_receives_itself(void)
     }
 }
 
-/* It may have lost its echo: a frame that comes back is no answer then. */
+/* Another adapter may be plugged in, so the line has to find out again whether it receives
+ * itself. */
 static void when_no_reply_is_understood_the_echo_is_unknown_again(void)
 {
     for (uint32_t first = 2; first <= 3; first++) {
@@ -325,10 +326,10 @@ static void when_no_reply_is_understood_the_echo_is_unknown_again(void)
     }
 }
 
-/* A probe of an unresponsive drive: its echo is no answer. */
+/* The echo of a probe to an unresponsive drive is no answer. */
 static void an_echo_does_not_bring_back_an_unresponsive_drive(void)
 {
-    /* by what it can be read: an exchange, one extra, two, nothing */
+    /* cases of what can be read: an exchange, one extra range, two, nothing */
     for (uint32_t reads = 0; reads < 4; reads++) {
         begin_with(1, ECHO_UNKNOWN);
         line_drive *table = &m->table.drive[0];
@@ -348,7 +349,7 @@ static void an_echo_does_not_bring_back_an_unresponsive_drive(void)
 
 static void continuous_noise_ends_the_wait(void)
 {
-    /* a write may be answered by a byte more than a read */
+    /* an answer to a write may be one byte longer than one to a read */
     static uint8_t noise[RECEIVED_BYTES_MAX + 1];
     memset(noise, 0x55, RECEIVED_BYTES_MAX);
     begin_with(1, 0);
@@ -363,7 +364,7 @@ static void continuous_noise_ends_the_wait(void)
     begin_with(1, 0);
     send_request(0, read_frame(1));
     (void)reply_of(&m->transaction.frame, noise + RECEIVED_BYTES_MAX - 7);
-    receive_after(MS, noise, RECEIVED_BYTES_MAX); /* its answer just fits */
+    receive_after(MS, noise, RECEIVED_BYTES_MAX); /* the answer just fits */
     CHECK(m->answered && m->answer.kind == ANSWER_OK && m->noise_bytes == RECEIVED_BYTES_MAX - 7);
 }
 

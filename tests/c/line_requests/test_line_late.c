@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Drives that answer late, on a wire of virtual time: which request a reply belongs to, and how old
- * its values are. A drive answers in the order of its requests. Its counter is the time itself,
- * in tenths of a millisecond. */
+ * Drives that answer late, on a wire in virtual time: which request a reply belongs to, and how old
+ * its values are. A drive answers in the order of its requests. Its counter is the time, in tenths
+ * of a millisecond. */
 #include <math.h>
 
 #include "line_wire.h"
@@ -18,13 +18,13 @@ typedef struct {
 
 static queued queue[QUEUE_MAX];
 static uint32_t queue_count;
-static int64_t busy_until_ns[UNITS_MAX]; /* it answers one request after the other */
+static int64_t busy_until_ns[UNITS_MAX]; /* a drive answers one request after the other */
 static int64_t late_ns;
-static uint32_t late_every; /* 1: each reply; n: one of n on average; 0: none */
+static uint32_t late_every; /* 1: each reply is late; n: one of n; 0: never */
 static uint32_t lose_every;
-static bool samples_late; /* it is busy first, and takes the value then */
+static bool samples_late; /* the drive is busy first, and then takes the value */
 static bool turns_around_slowly;
-static bool first_only; /* its neighbours are good */
+static bool first_only; /* only the first drive has late or lost replies */
 static uint32_t asked[UNITS_MAX];
 static uint32_t published; /* samples of the first drive */
 static int64_t last_sample_ns, last_stamp_ns, longest_pause_ns;
@@ -90,7 +90,7 @@ static void serve(const uint8_t *request)
     queue_count += !lost;
 }
 
-/* The first of the queue that has come by now. */
+/* Hands over the first reply of the queue that has arrived by now. */
 static void receive(void)
 {
     uint32_t first = 0;
@@ -112,8 +112,8 @@ static int64_t next_event_ns(int64_t wake_ns)
     return wake_ns > w.now_ns ? wake_ns : w.now_ns + 1;
 }
 
-/* No value is older than its stamp by more than a cycle; where the drive takes it at once, no
- * speed is seen that was not. */
+/* A value is older than its stamp by at most one cycle. If the drive takes it at once, the speed
+ * between two samples is the true one. */
 static void judge(void)
 {
     if ((w.out.feedback_mask & 1) == 0 || w.machine.joint[0].feedback.stamp_ns == 0) {
@@ -200,8 +200,8 @@ static void no_value_is_older_than_its_stamp(bool one_look)
                 run(2, 3000 * MS);
                 late_every = 0;
                 published = 0;
-                run(2, 4000 * MS);     /* an unresponsive one is probed every two seconds */
-                CHECK(published > 90); /* and it is well again after that */
+                run(2, 4000 * MS);     /* an unresponsive drive is probed every two seconds */
+                CHECK(published > 90); /* after that it works again */
             }
         }
     }
@@ -217,7 +217,7 @@ static void a_late_reply_is_distinguished_from_noise(void)
     CHECK(w.machine.drive[0].count.late > 0 && w.machine.noise_bytes == 0);
 }
 
-/* Other drives continue while a late reply of one may still come. */
+/* Other drives continue while a late reply of one drive may still arrive. */
 static void a_late_drive_does_not_keep_its_neighbour_waiting(bool one_look)
 {
     begin_late(2, one_look, 3);
@@ -237,7 +237,8 @@ static void a_late_drive_does_not_keep_its_neighbour_waiting(bool one_look)
     }
 }
 
-/* One that is written in one frame and read in another loses nothing but the reply. */
+/* A drive that is written in one frame and read in another loses only the reply, without a
+ * pause. */
 static void a_lost_reply_costs_a_drive_with_two_frames_no_pause(void)
 {
     begin_late(1, false, 5);
@@ -258,8 +259,8 @@ static void a_lost_reply_costs_a_drive_with_one_frame_a_short_pause(void)
     CHECK(published > 200 && longest_pause_ns <= 400 * MS);
 }
 
-/* So late that no request waits for it any more: it comes right after the next request, sooner
- * than the drive can answer. */
+/* The reply is so late that it is not awaited any more: it arrives right after the next request,
+ * sooner than the drive can answer. */
 static void a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answer(void)
 {
     begin_late(1, true, 7);
@@ -273,7 +274,7 @@ static void a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answe
         lose_every = 0;
         int64_t failed_ns = w.now_ns;
         uint32_t before = asked[0];
-        /* the drain is over, and one is on the wire */
+        /* until the pause is over and a request is on the wire */
         while (asked[0] < before + 2 || w.machine.work == WORK_NONE) {
             look();
         }
@@ -300,7 +301,7 @@ static void a_drive_that_is_always_too_late_is_unresponsive(void)
     }
 }
 
-/* As on a pseudo-terminal, where bytes take no time. */
+/* On a pseudo-terminal, bytes take no time. */
 static void replies_quicker_than_the_wire_count_also_after_a_lost_one(void)
 {
     begin_late(1, false, 1);
@@ -341,7 +342,8 @@ static line_request read_of(uint64_t id, uint8_t address)
                           .frame = frame_of(1, READ, address, 1)};
 }
 
-/* The replies of two registers look alike: the first one's, late, is not given to the second. */
+/* Replies to reads of two registers look alike. A late one to the first read is not taken as the
+ * answer to the second. */
 static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
 {
     for (int64_t ms = 30; ms <= 100; ms += 5) {
@@ -366,8 +368,7 @@ static void a_late_reply_to_one_read_is_not_the_answer_to_another(void)
     }
 }
 
-/* A late acknowledgement belongs to an older stop: it does not prove that the newer one was
- * received. */
+/* A late acknowledgement of an older stop does not prove that the newer one was received. */
 static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer_one(void)
 {
     begin_late(1, false, 1);
@@ -395,11 +396,12 @@ static void the_late_acknowledgement_of_an_older_stop_does_not_stand_for_a_newer
     CHECK(!w.machine.answered || w.machine.answer.kind != ANSWER_OK);
 }
 
-/* Its first reply after it was set up may be one whose time is not known: then nothing was read. */
+/* The time of the first reply after a set-up may be unknown. Then no value has been read. */
 static void a_value_that_was_never_read_has_no_stamp(void)
 {
     line_joint_state *joint = &w.machine.joint[0];
-    for (uint32_t reads = 0; reads < 3; reads++) { /* a count, a velocity, neither */
+    for (uint32_t reads = 0; reads < 3; reads++) { /* the drive has a count, a velocity, or
+                                                      neither */
         begin_late(1, false, 1);
         joint->counts = reads == 0;
         joint->measures = reads == 1;

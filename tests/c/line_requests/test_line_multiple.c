@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Function 16 is acknowledged without its values: a late acknowledgement proves
- * nothing about another value. */
+ * Function 16 is acknowledged without its values: a late acknowledgement proves nothing about
+ * another value. */
 #include "line_wire.h"
 
 enum { MULTIPLE = 16, ARM = 8 };
@@ -18,7 +18,7 @@ static line_frame multiple(uint8_t address, uint8_t value)
     return frame;
 }
 
-/* Until the next request is out. */
+/* Looks until the next request is sent. */
 static void send_next(void)
 {
     line_machine *m = &w.machine;
@@ -31,7 +31,7 @@ static void send_next(void)
     line_machine_sent(m, w.now_ns);
 }
 
-/* Nothing comes in time. */
+/* Sends a request that gets no reply in time. */
 static void request_without_reply(const line_frame *frame)
 {
     line_request one = {
@@ -65,16 +65,16 @@ static void a_late_acknowledgement_of_one_value_is_not_taken_for_that_of_another
     line_frame armed = multiple(CONTROL, ARM);
     request_without_reply(&armed);
     line_begin_stop(&w.machine, 0, drive_power_off(&w.machine.drive[0].state), w.now_ns);
-    send_next(); /* and is lost */
+    send_next(); /* sent, and lost */
     acknowledge(CONTROL);
     CHECK(w.machine.drive[0].state.stop == STOP_POWER_OFF && w.machine.drive[0].stop_done == 0);
-    send_next(); /* the second answer to it is its own */
+    send_next(); /* the second acknowledgement is the stop's own */
     acknowledge(CONTROL);
     line_machine_step(&w.machine, w.out.wake_ns, NULL, 0, &w.out);
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
-/* Another register is acknowledged by other bytes. */
+/* The acknowledgement of another register has other bytes. */
 static void an_acknowledgement_of_another_register_is_certain(void)
 {
     begin_multiple();
@@ -87,8 +87,8 @@ static void an_acknowledgement_of_another_register_is_certain(void)
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
-/* The echo of function 6 has the value in it. Between two that are equal a third write may have
- * changed it back. */
+/* The echo of function 6 contains the value. But between two equal writes a third one may have
+ * changed the register. */
 static void equal_echoes_are_interchangeable_without_a_write_between_them(void)
 {
     for (int between = 0; between < 2; between++) {

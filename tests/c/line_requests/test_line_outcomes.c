@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_outcomes: the effect of each answer of a drive, of each failure, and of the frames
+ * test_line_outcomes: the effect of each answer of a drive and of each failure, also of the frames
  * of a stop. */
 #include "line_cycle.h"
 
@@ -22,7 +22,8 @@ static void a_reply_that_took_longer_than_usual_gives_no_value(void)
     }
 }
 
-/* It stopped by itself while it was sent nothing: it is sent its stop. */
+/* The drive received nothing for longer than its watchdog waits and has stopped by itself, so the
+ * line stops it. */
 static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
 {
     for (uint32_t how = 0; how < 5; how++) {
@@ -39,7 +40,7 @@ static void an_answer_after_its_watchdog_stops_an_armed_drive(void)
         bool alone = how == 0 || how == 4;
         CHECK(drive->state.fault_reasons == (alone ? (uint32_t)DRIVE_FAULT_LEFT_ALONE : 0) &&
               drive->state.stopping == alone);
-        CHECK(drive->failures == 0 && drive->place == !alone); /* its cycle is over then */
+        CHECK(drive->failures == 0 && drive->place == !alone); /* a stopped drive ends its cycle */
     }
 }
 
@@ -128,8 +129,8 @@ static void as_many_failures_as_tries_make_a_drive_unresponsive(void)
     }
 }
 
-/* The frame of the newest stop that was not received is not sent again at once at the end: each
- * is to be sent. */
+/* At the end of the line a frame of the newest stop that gets no reply is not repeated at once, so
+ * that each frame is sent. */
 static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
 {
     for (uint32_t how = 0; how < 3; how++) {
@@ -138,7 +139,8 @@ static void at_the_end_a_frame_that_fails_makes_room_for_the_next(void)
         line_frame frame;
         CHECK(line_next_stop(&w.machine, 0, &frame));
         w.machine.transaction.frame = frame;
-        w.machine.transaction.frame.request[5] ^= (uint8_t)(how == 2); /* of an older stop */
+        w.machine.transaction.frame.request[5] ^= (uint8_t)(how == 2); /* a frame of an older
+                                                                          stop */
         w.machine.work = WORK_STOP;
         w.machine.end.stage = how == 0 ? 0 : 2;
         w.machine.table.drive[0].tries = 100;
@@ -181,7 +183,7 @@ static void a_frame_of_a_stop_that_is_refused_repeatedly_counts_as_done(void)
         }
         CHECK(drive->stop_done == (older != 0 ? 1 : 3) && drive->stop_refused == (older == 0) &&
               drive->stop_failures == 0);
-        /* the result of an older one changes nothing */
+        /* the result of an older stop changes nothing */
         w.machine.transaction.frame.request[5] ^= 0x40;
         drive->failures = 0, drive->stop_failures = 2;
         line_drive_failed(&w.machine, 0, ANSWER_REFUSED, 1, w.now_ns);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_owed: how late a reply may be, how soon is too soon, and what is learned of a
- * drive's turn-around. */
+ * test_line_owed: how late a reply may be, how soon is too soon, and how the turn-around of a drive
+ * is learned. */
 #include "line_wire.h"
 
 static line_drive_state *drive;
@@ -16,7 +16,7 @@ static void begin_asking(void)
     w.machine.table.drive[0].turnaround_ns = 100 * MS;
 }
 
-/* Its reply ends so long after the drive could have begun it. */
+/* Time at which the reply ends, if the drive begins it `took_ns` after the earliest moment. */
 static int64_t reply_after(int64_t took_ns)
 {
     return w.machine.end_ns + line_reply_ns(&w.machine, &w.machine.transaction.frame) + took_ns;
@@ -41,8 +41,8 @@ static void a_reply_may_be_late_for_twice_its_bound_and_at_least_120_ms(void)
     }
 }
 
-/* Less than half of the least that it ever took, by more than half a millisecond, within two
- * seconds of a failure. */
+/* Doubtful is a reply that took less than half of the shortest turn-around so far, by more than 0.5
+ * ms, within two seconds after a failure. */
 static void a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once(void)
 {
     static const struct {
@@ -67,7 +67,7 @@ static void a_reply_that_comes_too_soon_after_a_failure_is_doubtful_once(void)
     }
 }
 
-/* Soon after the machine has started, its clock is near 0, and 0 is: it never failed. */
+/* Soon after the start of the machine its clock is near 0, and 0 stands for "never failed". */
 static void a_drive_that_never_failed_may_answer_at_any_time(void)
 {
     for (int64_t failed_ns = 0; failed_ns <= 1; failed_ns++) {
@@ -91,13 +91,13 @@ static void only_the_reply_to_a_known_request_is_doubted(void)
     }
 }
 
-/* Replies that repeat their request are equal, so either may be taken unless another write may
- * have come between. */
+/* Replies that repeat their request are equal. Either may be taken, unless another write may have
+ * come between. */
 static void a_reply_that_repeats_its_request_is_doubtful_after_another_write(void)
 {
     line_frame write = frame_of(1, WRITE, CONTROL, 1), other = frame_of(1, WRITE, SPEED, 1),
                read = frame_of(1, READ, STATUS, 1);
-    /* the shortest that there is */
+    /* the shortest possible frames */
     write.echo_bytes = 1, write.request_bytes = 3, write.reply_bytes = 9;
     for (uint32_t between = 0; between < 3; between++) {
         begin_asking();
@@ -133,7 +133,7 @@ static void a_turn_around_is_learned_with_its_spread(void)
     CHECK(line_expected_turnaround_ns(&w.machine, 0) == 7 * MS);
     w.machine.table.drive[0].reply_timeout_ns = 1;
     CHECK(line_expected_turnaround_ns(&w.machine, 0) == 1);
-    /* on a pseudo-terminal bytes take no time at all */
+    /* on a pseudo-terminal bytes take no time */
     for (int64_t took_ns = -5; took_ns <= 1; took_ns += 3) {
         begin_asking();
         drive->smoothed_ns = 0;
@@ -153,8 +153,8 @@ static void a_turn_around_is_learned_with_its_spread(void)
           drive->deadline_ns == 31 * MS + 1);
 }
 
-/* No later than the middle of the exchange, and than half of its shortest turn-around after the
- * request. */
+/* The stamp is at most the middle of the exchange, and at most half of the shortest turn-around
+ * after the request. */
 static void a_value_was_taken_in_the_middle_or_soon_after_the_request(void)
 {
     begin_asking();
@@ -165,8 +165,8 @@ static void a_value_was_taken_in_the_middle_or_soon_after_the_request(void)
     CHECK(line_stamp(&w.machine, 0, w.machine.start_ns + 90 * MS) == w.machine.start_ns + 7 * MS);
 }
 
-/* The drive is present, and no more is known: the reply may belong to another request, and one
- * owed reply has come. */
+/* The reply only shows that the drive is present: it may belong to another request. One late reply
+ * fewer is expected. */
 static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
 {
     for (uint32_t current = 0; current < 2; current++) {
@@ -178,16 +178,18 @@ static void a_doubtful_reply_ends_the_cycle_and_holds_the_drive(void)
         CHECK(drive->count.exchanges == 1 && drive->count.received_ns == w.now_ns + MS &&
               drive->stage == STAGE_IDLE);
         CHECK(w.machine.current == (current == 0 ? (uint32_t)LINE_DRIVES_MAX : 1));
-        CHECK(drive->owed_count == 1 && drive->owed[0].count == 1); /* two were, and one has come */
+        CHECK(drive->owed_count == 1 && drive->owed[0].count == 1); /* two were owed, and one has
+                                                                       arrived */
         CHECK(drive->held_until_ns == drive->owed[0].until_ns &&
               drive->held_until_ns == reply_after(2 * 200 * MS));
     }
     begin_asking();
-    line_doubt(&w.machine, 0, w.now_ns + MS); /* nothing else was owed: it may come yet */
+    line_doubt(&w.machine, 0, w.now_ns + MS); /* no other reply was owed: this one may still
+                                                 arrive */
     CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
 }
 
-/* More than can be distinguished: a silence sorts them out. */
+/* More owed replies than the line can distinguish: it waits in silence until all have expired. */
 static void too_many_owed_replies_hold_the_drive_until_all_have_expired(void)
 {
     begin_asking();
@@ -201,15 +203,16 @@ static void too_many_owed_replies_hold_the_drive_until_all_have_expired(void)
     }
     CHECK(drive->held_until_ns == drive->owed[OWED_MAX - 1].until_ns &&
           drive->held_until_ns == reply_after(4 * 200 * MS));
-    /* the oldest went */
+    /* the oldest one was dropped */
     CHECK(drive->owed[0].look.head[2] == 3 &&
           drive->owed[OWED_MAX - 1].look.head[2] == 2 + OWED_MAX);
-    w.machine.start_ns = drive->held_until_ns; /* all of that is over */
+    w.machine.start_ns = drive->held_until_ns; /* all of them have expired */
     line_owe(&w.machine, 0);
     CHECK(drive->owed_count == 1 && drive->owed[0].count == 1);
 }
 
-/* A certain reply shows how short a turn-around may be; 0: not known. */
+/* Only a reply that certainly answers its request shows how short a turn-around may be; 0: not
+ * known. */
 static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
 {
     begin_asking();
@@ -224,7 +227,8 @@ static void the_shortest_turn_around_is_that_of_a_certain_reply(void)
     line_owe(&w.machine, 0);
     int64_t until_ns = drive->owed[0].until_ns;
     w.machine.end_ns += 7 * MS;
-    line_settle(&w.machine, 0, reply_after(3 * MS)); /* perhaps the older one's: it is owed on */
+    line_settle(&w.machine, 0, reply_after(3 * MS)); /* perhaps the reply to the older request: one
+                                                        is still owed */
     CHECK(drive->least_ns == 0 && drive->owed_count == 1 &&
           drive->owed[0].until_ns == until_ns + 7 * MS);
     for (uint32_t how = 0; how < 2; how++) {
@@ -249,7 +253,7 @@ static line_frame write_to(uint32_t place)
     return frame_of(1, WRITE, ADDRESSES[place], 1);
 }
 
-/* It is the newest one then. */
+/* A reply that is owed again becomes the newest one. */
 static void a_reply_that_is_owed_again_leaves_the_others_in_their_order(void)
 {
     for (uint32_t count = 1; count <= OWED_MAX; count++) {
@@ -288,7 +292,7 @@ static void a_certain_reply_ends_the_wait_for_all_older_ones(void)
         line_frame frame = w.machine.transaction.frame = write_to(certain);
         line_settle(&w.machine, 0, reply_after(MS));
         CHECK(drive->owed_count == 3 - certain);
-        /* its own may come twice */
+        /* its own reply may arrive twice */
         CHECK(drive->owed[2 - certain].until_ns == reply_after((3 - certain) * 200 * MS));
         CHECK(!line_may_be_late(&w.machine, 0, &frame, w.now_ns));
     }

@@ -27,7 +27,7 @@ static void a_drive_that_becomes_unresponsive_has_no_last_set_points(void)
               !drive->state.stopping && !drive->state.back);
         CHECK(drive->stage == STAGE_IDLE && drive->probe_place == 0 &&
               drive->probe_pause_ns == 100 * MS);
-        /* one quick stop, one set-point of zero, and a probe; or the probe alone */
+        /* a quick stop, a set-point of zero and a probe; or only the probe */
         CHECK(drive->probe_at_ns == w.now_ns && drive->probes_at_once == (how == 1 ? 1 : 3));
         for (uint32_t direction = 0; direction < DRIVE_DIRECTIONS_MAX; direction++) {
             CHECK(drive->direction_sent[direction] == DIRECTION_UNKNOWN);
@@ -77,7 +77,7 @@ static void the_first_unresponsive_drive_that_is_due_is_probed(void)
 {
     begin_with(3, 0);
     line_machine *m = &w.machine;
-    m->drive[3].state.mode = DRIVE_UNRESPONSIVE; /* it is not on the line */
+    m->drive[3].state.mode = DRIVE_UNRESPONSIVE; /* beyond the count of drives */
     m->drive[3].may_turn = true;
     CHECK(line_due_probe(m, false, w.now_ns) == LINE_DRIVES_MAX);
     for (uint32_t i = 1; i < 3; i++) {
@@ -96,7 +96,7 @@ static void the_first_unresponsive_drive_that_is_due_is_probed(void)
     CHECK(line_due_probe(m, true, w.now_ns) == 1);
 }
 
-/* For each kind of urgent work. */
+/* Cases: each kind of urgent work, and others. */
 static void urgent_requests_wait_twenty_milliseconds_for_silence_and_others_without_limit(void)
 {
     for (uint32_t what = 0; what < 6; what++) {
@@ -105,7 +105,7 @@ static void urgent_requests_wait_twenty_milliseconds_for_silence_and_others_with
 
         m->ours_ns = w.now_ns + 3 * MS;
         m->broadcasts = what == 1;
-        m->drive[2].state.stop = STOP_QUICK; /* it is not on the line */
+        m->drive[2].state.stop = STOP_QUICK; /* beyond the count of drives */
         m->drive[1].state.stop = what == 2 ? STOP_QUICK : STOP_NOTHING;
         m->drive[1].state.mode = what >= 3 ? DRIVE_UNRESPONSIVE : DRIVE_OFF;
         m->drive[1].may_turn = what == 3 || what == 4;
@@ -120,11 +120,11 @@ static void urgent_requests_wait_twenty_milliseconds_for_silence_and_others_with
     }
     begin_with(1, 0);
     w.machine.broadcasts = 1;
-    w.machine.ours_ns = w.now_ns; /* then the gap comes first */
+    w.machine.ours_ns = w.now_ns; /* the wait begins after the gap */
     CHECK(!line_ends_patience(&w.machine, w.now_ns) &&
           w.machine.urgent_by_ns == w.now_ns + GAP_NS + 20 * MS);
     w.machine.urgent_by_ns = 0;
-    w.machine.noisy = true; /* it was in vain the last time */
+    w.machine.noisy = true; /* the last wait for silence was in vain */
     w.machine.ours_ns = w.now_ns + 3 * MS;
     CHECK(!line_ends_patience(&w.machine, w.now_ns) && w.machine.urgent_by_ns == w.now_ns + 3 * MS);
     w.machine.broadcasts = 0;

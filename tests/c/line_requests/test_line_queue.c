@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The queue of requests from outside the cycle by itself: its order, its end, what expires, and
- * which request is next. */
+ * The queue of requests from outside the cycle: its order, its end, requests that expire, and which
+ * request is next. */
 #include "line_wire.h"
 
 static void put(uint64_t id, uint32_t drive, uint32_t urgent, int64_t expires_ns)
@@ -31,7 +31,7 @@ static void urgent_requests_come_before_others_and_each_kind_keeps_its_order(voi
     while (w.machine.request_count > 0) {
         line_drop_request(&w.machine, 0);
     }
-    put(12, 0, 1, INT64_MAX); /* urgent ones that were there before count no more */
+    put(12, 0, 1, INT64_MAX); /* earlier urgent requests do not count any more */
     put(13, 0, 1, INT64_MAX);
     holds((const uint64_t[]){12, 13}, 2);
 }
@@ -54,7 +54,7 @@ static void a_full_queue_refuses_the_next_request_and_changes_nothing_else(void)
           memcmp(&w.machine, &wanted, sizeof wanted) == 0);
     CHECK(!line_machine_request(&w.machine, &urgent) &&
           memcmp(&w.machine, &wanted, sizeof wanted) == 0);
-    wanted.request_count--; /* the last but one goes, the last one moves up */
+    wanted.request_count--; /* the last but one is dropped, and the last one moves up */
     wanted.request[LINE_REQUESTS_MAX - 2] = wanted.request[LINE_REQUESTS_MAX - 1];
     line_drop_request(&w.machine, LINE_REQUESTS_MAX - 2);
     CHECK(memcmp(&w.machine, &wanted, sizeof wanted) == 0);
@@ -87,17 +87,17 @@ static void a_request_to_a_pausing_drive_yields_to_the_next_one(void)
     CHECK(line_pick_request(&w.machine, w.now_ns + 1) == 0);
     w.machine.drive[1].silent_until_ns = w.now_ns + 1;
     CHECK(line_pick_request(&w.machine, w.now_ns) == LINE_REQUESTS_MAX);
-    put(3, 2, 0, INT64_MAX); /* to no drive of the table: it does not wait for any */
+    put(3, 2, 0, INT64_MAX); /* to a drive beyond the table: waits for no drive */
     CHECK(line_pick_request(&w.machine, w.now_ns) == 2);
     begin_with(1, 0);
     put(1, 0, 0, INT64_MAX);
-    w.machine.drive[0].held_until_ns = w.now_ns; /* the silence is over */
+    w.machine.drive[0].held_until_ns = w.now_ns; /* the hold is over */
     CHECK(line_pick_request(&w.machine, w.now_ns) == 0);
     w.machine.drive[0].held_until_ns = w.now_ns + 1;
     for (uint64_t id = 2; id <= LINE_REQUESTS_MAX; id++) {
         put(id, 0, 0, INT64_MAX);
     }
-    /* a full queue, and each has to wait */
+    /* the queue is full, and each request has to wait */
     CHECK(line_pick_request(&w.machine, w.now_ns) == LINE_REQUESTS_MAX);
 }
 

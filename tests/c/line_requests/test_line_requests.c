@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Requests from outside the cycle, on a wire of virtual time: which one is sent, in which order,
+ * Requests from outside the cycle, on a wire in virtual time: which one is sent, in which order,
  * and which reply it gets. */
 #include "line_wire.h"
 
@@ -22,7 +22,8 @@ static void put(line_request request)
     CHECK(line_machine_request(&w.machine, &request));
 }
 
-/* Steps without set-points until a request is answered; false: not within a second. */
+/* Makes steps without set-points until a request is answered; returns false if none is within a
+ * second. */
 static bool step_until_answered(void)
 {
     int64_t limit_ns = w.now_ns + 1000 * MS;
@@ -46,7 +47,7 @@ static void an_urgent_request_does_not_interrupt_the_one_on_the_wire(void)
     while (!is_sent(1, READ, STATUS)) {
         go_on();
     }
-    put(request_of(STOP_ID, 1, true)); /* the read is on the wire */
+    put(request_of(STOP_ID, 1, true)); /* while the read is on the wire */
     CHECK(step_until_answered());
     CHECK(w.machine.answer.id == READ_ID && w.machine.answer.kind == ANSWER_OK);
     CHECK(w.machine.answer.reply_bytes == 7 && w.machine.answer.reply[0] == 1);
@@ -67,7 +68,7 @@ static void the_request_on_the_wire_does_not_expire_behind_an_urgent_one(void)
         go_on();
     }
     put(request_of(STOP_ID, 1, true));
-    /* its reply is not here yet */
+    /* before its reply arrives */
     line_machine_step(&w.machine, read.expires_ns + MS, w.bytes, 0, &w.out);
     CHECK(!w.machine.answered && w.machine.work == WORK_REQUEST);
     w.now_ns = read.expires_ns + MS;
@@ -102,8 +103,8 @@ static void urgent_requests_overtake_waiting_ones_and_keep_their_own_order(void)
     }
 }
 
-/* A read for each drive that always follows the last one, beside full cycles: the wire is never
- * free. */
+/* Beside full cycles, each drive has a read, which is repeated as soon as it is answered: the wire
+ * is never free. */
 static void continuous_reads_do_not_keep_an_urgent_request_from_being_sent(void)
 {
     begin_with(3, 0);
@@ -140,7 +141,7 @@ static void the_request_on_the_wire_is_still_answered_when_the_line_is_shut_down
     CHECK(step_until_answered());
     CHECK(w.machine.answer.id == READ_ID && w.machine.answer.kind == ANSWER_OK);
     CHECK(step_until_answered());
-    /* the end has its own power-off */
+    /* the end sends its own power-off */
     CHECK(w.machine.answer.id == STOP_ID && w.machine.answer.kind == ANSWER_EXPIRED);
     while (w.machine.end.stage != END_SILENT) {
         go_on();

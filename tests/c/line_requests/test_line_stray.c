@@ -1,12 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_stray: bytes that belong to no answer: a late reply, noise, or the echo of our own
- * request. */
+ * test_line_stray: bytes that belong to no answer: a late reply, noise, or the echo of the line's
+ * own request. */
 #include "line_wire.h"
 
 static line_machine *const m = &w.machine;
 static line_drive_state *const drive = &w.machine.drive[0];
 
-/* A read of that many bytes, so that its reply differs from all others. */
+/* A read of so many bytes, whose reply differs from all others by its length. */
 static line_frame read_of(uint8_t unit, uint8_t data_bytes)
 {
     line_frame frame = frame_of(unit, READ, STATUS, data_bytes);
@@ -75,14 +75,15 @@ static void a_late_reply_among_equal_ones_ends_a_single_wait(void)
     owe(&second);
     CHECK(owes(2, 2) && drive->owed[1].count == 2);
     stray(1, 3);
-    CHECK(owes(1, 3) && drive->owed[0].count == 1); /* the one before it cannot come any more */
+    CHECK(owes(1, 3) && drive->owed[0].count == 1); /* drives answer in order: the one before is not
+                                                       expected any more */
     stray(1, 3);
     CHECK(drive->owed_count == 0 && drive->count.late == 2);
-    stray(1, 3); /* no request waits for that */
+    stray(1, 3); /* no request waits for it */
     CHECK(drive->count.late == 2 && m->noise_bytes == 8 && m->stray_bytes == 8);
 }
 
-/* A drive that is held because of what may come is free when it has come. */
+/* A drive that is held until late replies have arrived is free after the last one. */
 static void the_last_late_reply_frees_a_drive_that_is_held(void)
 {
     begin_owing(1);
@@ -93,11 +94,11 @@ static void the_last_late_reply_frees_a_drive_that_is_held(void)
     begin_owing(2);
     int64_t held_until_ns = drive->held_until_ns = w.now_ns + 9 * MS;
     stray(1, 2);
-    CHECK(drive->held_until_ns == held_until_ns); /* there is another one */
+    CHECK(drive->held_until_ns == held_until_ns); /* one more late reply may arrive */
     begin_owing(1);
     held_until_ns = drive->held_until_ns = w.now_ns - 9 * MS;
     stray(1, 2);
-    CHECK(drive->held_until_ns == held_until_ns); /* that was over long ago */
+    CHECK(drive->held_until_ns == held_until_ns); /* the hold was over long ago */
 }
 
 static void a_reply_is_found_in_any_pieces_and_after_noise(void)
@@ -112,11 +113,11 @@ static void a_reply_is_found_in_any_pieces_and_after_noise(void)
     }
     CHECK(drive->count.late == 1 && m->noise_bytes == 3 && m->stray_bytes == 0);
     begin_owing(1);
-    reply[4] ^= 1; /* its check sum is wrong */
+    reply[4] ^= 1; /* a wrong check sum */
     line_stray(m, reply, bytes, w.now_ns);
     CHECK(drive->count.late == 0 && drive->owed_count == 1 && m->noise_bytes == bytes);
     begin_owing(1);
-    stray(2, 2); /* another drive's */
+    stray(2, 2); /* from another drive */
     CHECK(drive->count.late == 0 && drive->owed_count == 1);
 }
 
@@ -129,11 +130,11 @@ static void each_drive_has_its_own_late_replies(void)
     stray(2, 2);
     CHECK(m->drive[1].count.late == 1 && m->drive[1].owed_count == 0 && drive->owed_count == 1 &&
           drive->count.late == 0);
-    m->drive[1] = *drive; /* two that wait for the same: the first one's */
+    m->drive[1] = *drive; /* both drives wait for an equal reply: the first one gets it */
     stray(1, 2);
     CHECK(drive->count.late == 1 && m->drive[1].count.late == 0 && m->drive[1].owed_count == 1 &&
           m->noise_bytes == 0);
-    m->drive[2] = m->drive[1]; /* there is no third drive */
+    m->drive[2] = m->drive[1]; /* beyond the count of drives */
     m->drive[1].owed_count = 0;
     stray(1, 2);
     CHECK(m->drive[2].count.late == 0);
@@ -151,7 +152,7 @@ static void noise_is_kept_as_long_as_the_longest_reply(void)
     CHECK(drive->count.late == 1);
 }
 
-/* --------------------------------------------------------------------- beside an answer */
+/* -------------------------------------------------------------- bytes next to an answer */
 static uint64_t noise_of(uint32_t echo, const uint8_t *bytes, uint32_t count, received verdict)
 {
     begin_with(1, 0);
@@ -186,7 +187,7 @@ static void bytes_before_and_after_an_answer_are_noise(void)
     memmove(bytes + 10, bytes + 8, 7);
     bytes[8] = 0xEE, bytes[9] = 0xFF, answer.offset = 10;
     CHECK(noise_of(ECHO_FIRST, bytes, 17, answer) == 2 && m->stray[0] == 0xEE);
-    answer.echoed = 0; /* then these bytes are no echo */
+    answer.echoed = 0; /* without an echo these bytes are noise */
     CHECK(noise_of(ECHO_UNKNOWN, bytes, 17, answer) == 10);
 }
 
@@ -199,7 +200,7 @@ static void without_an_answer_all_bytes_but_an_echo_are_noise(void)
     bytes[8] = 9;
     CHECK(noise_of(ECHO_FIRST, bytes, 8, none) == 0 && noise_of(ECHO_UNKNOWN, bytes, 8, none) == 0);
     CHECK(noise_of(ECHO_UNKNOWN, bytes, 9, none) == 1 && m->stray[0] == 9);
-    CHECK(noise_of(ECHO_NONE, bytes, 8, none) == 8); /* this line has no copies */
+    CHECK(noise_of(ECHO_NONE, bytes, 8, none) == 8); /* this line has no echo */
     CHECK(noise_of(ECHO_FIRST, bytes, 7, none) == 7);
     bytes[7] ^= 1;
     CHECK(noise_of(ECHO_FIRST, bytes, 8, none) == 8);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How often and how long a line tries: reads by turns, deadlines that back off, stops that a
- * drive refuses. */
+ * How often and how long a line tries: reads in turn, deadlines that increase after failures, and
+ * stops that a drive refuses. */
 #include "line_wire.h"
 
 enum { EXTRA = 0x40, EXTRAS = 3, SENT_MAX = 64 };
@@ -8,7 +8,7 @@ enum { EXTRA = 0x40, EXTRAS = 3, SENT_MAX = 64 };
 static uint8_t sent_address[SENT_MAX];
 static uint32_t sent_count;
 
-/* This many looks; returns the registers that were read. */
+/* Makes so many looks, and notes the registers that were read in `sent_address`. */
 static void look(uint32_t times)
 {
     for (uint32_t i = 0; i < times; i++) {
@@ -20,7 +20,7 @@ static void look(uint32_t times)
     }
 }
 
-/* Three ranges are read besides the cycle; the first has whether the drive is enabled. */
+/* Three extra ranges are read. The first one reports whether the drive is enabled. */
 static void begin_with_extras(uint32_t reports_enabled)
 {
     begin_with(1, 0);
@@ -54,7 +54,7 @@ static void slow_values_are_read_by_turns(void)
     request(0, DRIVE_OFF);
     look(4);
     sent_count = 0;
-    request(0, DRIVE_READY); /* a new set-up restarts it */
+    request(0, DRIVE_READY); /* a new set-up restarts the turns */
     while (sent_count < 2) {
         look(1);
     }
@@ -92,7 +92,8 @@ static void a_deadline_doubles_with_each_missing_reply_up_to_the_drive_s_bound(v
     for (uint32_t i = 0; i < 40; i++) {
         go_on();
     }
-    CHECK(w.machine.drive[0].deadline_ns == 10 * MS); /* it answers within half a millisecond */
+    CHECK(w.machine.drive[0].deadline_ns == 10 * MS); /* the drive answers within half a
+                                                         millisecond */
     w.mute = 1;
     const int64_t bound_ns = w.machine.table.drive[0].turnaround_ns;
     const int64_t deadlines_ns[] = {20 * MS, 40 * MS, 80 * MS, bound_ns, bound_ns};
@@ -107,8 +108,8 @@ static void a_deadline_doubles_with_each_missing_reply_up_to_the_drive_s_bound(v
     CHECK(w.machine.drive[0].deadline_ns == 10 * MS && w.machine.drive[0].failures == 0);
 }
 
-/* The reply may come as late as the drive's bound allows: it must not be taken for the next
- * one's. */
+/* A reply may arrive as late as the bound of the drive allows, and must not be taken as that of the
+ * next request. */
 static void after_a_missing_reply_the_line_pauses_for_the_drive_s_whole_bound(void)
 {
     begin_with(1, 0);
@@ -147,14 +148,14 @@ static void
 a_frame_of_a_stop_that_is_refused_is_sent_as_often_as_the_drive_s_tries_and_the_next_one_then(void)
 {
     begin_with(1, 0);
-    /* both to the register that it refuses */
+    /* both frames go to the register that the drive refuses */
     w.table.drive[0].disarm[1] = frame_of(1, WRITE, CONTROL, 0);
     CHECK(line_machine_init(&w.machine, &w.table, 0, w.now_ns) == 0);
     w.refused = CONTROL;
     shut_down_until(3);
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.refusals == 6);
     begin_with(1, 0);
-    w.refused = CONTROL; /* the second one is received: later failures are counted from zero */
+    w.refused = CONTROL; /* the second frame is received, and failures are counted from zero */
     shut_down_until(3);
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING && w.released[0] == 1 && w.refusals == 4);
 }
@@ -175,8 +176,8 @@ static void a_new_stop_starts_with_all_of_its_tries(void)
     CHECK(w.refusals >= 3 && w.released[0] >= 1);
 }
 
-/* Two drives; after so many failures the first one refuses a register, and loses its power
- * otherwise. */
+/* Two drives. After so many failures the first one refuses a register. After three refusals,
+ * `unanswered` frames get no reply. */
 static void run_refusing(uint32_t failures, uint32_t unanswered)
 {
     begin_with(2, 0);
@@ -192,7 +193,7 @@ static void run_refusing(uint32_t failures, uint32_t unanswered)
     go_on();
     for (uint32_t lost = 0; w.machine.drive[0].state.stop != STOP_NOTHING;
          lost += w.mute && w.out.send != NULL) {
-        /* the frame after the refused one, the first times */
+        /* a frame after the refused one */
         w.mute = w.refusals == 3 && lost < unanswered;
         go_on();
     }

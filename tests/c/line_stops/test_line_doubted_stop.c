@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_line_doubted_stop: a stop whose acknowledgements may be answers to older requests, and
- * its neighbours. */
+ * test_line_doubted_stop: a stop whose acknowledgements may be answers to older requests, and its
+ * effect on other drives. */
 #include "line_wire.h"
 
-/* As of bus servos: an answer does not name the write that it answers. */
+/* An answer does not name the write that it answers, like those of bus servos. */
 static void answer_alike(line_frame *frame)
 {
     frame->echo_bytes = 0;
@@ -11,14 +11,15 @@ static void answer_alike(line_frame *frame)
     memcpy(frame->match, (const uint8_t[]){1, WRITE}, 2);
 }
 
-/* After an unanswered request each later answer may belong to that request, as long as the stop is
- * sent again: only answers beyond the number that is owed prove the stop. The neighbour continues
- * meanwhile. */
+/* While the stop is repeated, each answer after an unanswered request may belong to that request.
+ * Only the answers beyond the number that is owed prove the stop. The neighbour continues in the
+ * meantime. */
 static void a_stop_with_late_acknowledgements_ends_and_delays_no_neighbour(void)
 {
     for (uint32_t i = 0; i < 8; i++) {
         uint32_t owed = i / 2;
-        bool after_another = i % 2 != 0; /* whose answers prove nothing about it */
+        bool after_another = i % 2 != 0; /* the answers to an earlier request prove nothing about
+                                            this stop */
         begin_with(2, 0);
         line_drive *table = &w.machine.table.drive[0];
         answer_alike(&table->cyclic[0].frame), answer_alike(&table->quick_stop[0]);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * How a line ends: rest, then power off, then silence, each at its time at the latest. */
+ * The end of a serial line: rest, then power-off, then silence, each with a time limit. */
 #include "line_wire.h"
 
 static const int64_t REST_NS = 350 * 1000000, END_NS = 480 * 1000000,
@@ -30,7 +30,7 @@ static void an_armed_drive_is_stopped_at_once_and_one_that_is_not_armed_is_not(v
           ready->due_ns == w.now_ns + 1000 * MS);
 }
 
-/* What has to be over before the power goes off; all of it by itself. */
+/* Cases: each kind of work that has to be finished before the power goes off. */
 static void the_power_goes_off_when_every_stop_and_every_broadcast_is_done(void)
 {
     for (int what = 0; what < 5; what++) {
@@ -78,12 +78,12 @@ static void a_drive_that_does_not_come_to_rest_still_loses_its_power_at_the_end(
     CHECK(w.machine.end.stage == END_SILENT && w.machine.notify);
 }
 
-/* A drive whose replies are lost may still receive: a silent neighbour does not take its time. */
+/* A drive whose replies are lost may still receive. A silent neighbour does not reduce its time. */
 static void
 the_end_waits_until_each_drive_was_sent_each_frame_of_its_power_off_but_not_for_ever(void)
 {
     uint32_t frames = drive_of(1).disarm_count, all = (1U << frames) - 1;
-    /* the last one comes late in the last run */
+    /* in the last run the last frame is sent late */
     for (uint32_t missing = 0; missing <= frames; missing++) {
         bool comes = missing == frames;
         begin_with(2, 0);
@@ -112,7 +112,7 @@ static void the_end_does_not_clear_a_notification(void)
     CHECK(w.machine.notify && w.machine.end.stage == END_NOT);
 }
 
-/* The entry after the last drive looks like one that moves and stops: it is neither read nor
+/* The entry after the last drive looks like a drive that moves and stops. It is neither read nor
  * changed. */
 static void a_line_has_eight_drives_at_most(void)
 {

@@ -1,9 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0
- * A line that is never silent: stops are sent all the same, and its drives become unresponsive. */
+ * A line that is never silent: stops are sent nevertheless, and its drives become unresponsive. */
 #include "line_wire.h"
 
 static const int64_t LONG_GAP_NS = 20 * MS;
-/* A frame that does not get silence: the gap, the bound, its exchange and a look. */
+/* Time until a frame that gets no silence is sent: the gap, the bound, its exchange and a look. */
 static const int64_t FRAME_NS = LONG_GAP_NS + 20 * MS + 5 * MS;
 
 static void begin_turning(uint32_t drives)
@@ -34,7 +34,7 @@ static void a_power_off_is_sent(void)
     request(0, DRIVE_OFF);
     babble_for(2 * FRAME_NS + 30 * MS);
     CHECK(w.power_offs[0] == 2 && w.released[0] == 1 && w.power_offs[1] == 0);
-    /* its answers are found among the noise */
+    /* the answers are found among the noise */
     CHECK(w.machine.drive[0].state.stop == STOP_NOTHING);
 }
 
@@ -94,7 +94,7 @@ static void only_an_urgent_request_is_sent(void)
           w.machine.request[0].id == 1);
 }
 
-/* Nothing can be read: no drive is known to be present. One that may turn gets its stop
+/* The noise hides all replies, so drives count as unresponsive. One that may turn gets its stop
  * repeatedly. */
 static void its_drives_become_unresponsive_and_are_stopped(void)
 {

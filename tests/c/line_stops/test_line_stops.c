@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Stops on a line where a drive is missing, on a wire of virtual time: which drive is sent a stop,
+ * Stops on a line where a drive is missing, on a wire in virtual time: which drive is sent a stop,
  * when, and which answers count. */
 #include "line_wire.h"
 
@@ -25,8 +25,8 @@ static void power_offs_of_several_drives_are_one_gap_apart(void)
     }
 }
 
-/* Drives that are ready have their cycles until then; after its power-off each one gets no more
- * frames. */
+/* Drives that are ready have their cycles until the power goes off. After its power-off a drive
+ * gets no more frames. */
 static void once_the_power_goes_off_nothing_else_is_sent(void)
 {
     begin_with(2, 0);
@@ -59,7 +59,7 @@ static void missing_drives_do_not_keep_the_power_of_the_others_on(void)
     CHECK(w.power_offs[2] >= 2 && w.power_offs[3] >= 2);
 }
 
-/* In transit when the end comes: a cycle's exchange that is its third failure, a probe, or
+/* Cases of what is in transit when the end comes: the third failure of a cycle, a probe, or
  * nothing. */
 static void a_missing_drive_gets_its_power_off_at_the_end_whatever_was_in_transit(void)
 {
@@ -76,7 +76,7 @@ static void a_missing_drive_gets_its_power_off_at_the_end_whatever_was_in_transi
     }
 }
 
-/* The quick stop and the first power-off are lost, as with a cut of 150 ms. */
+/* The quick stop and the first power-off are lost, as in a cut of 150 ms. */
 static void a_drive_missing_for_a_moment_gets_its_power_off_until_it_answers(void)
 {
     for (int64_t cut_ms = 0; cut_ms < 400; cut_ms += 10) {
@@ -165,10 +165,11 @@ static void the_answer_to_an_older_stop_does_not_stand_for_a_newer_one(void)
     }
     CHECK(w.quick_stop_ns[0] > 0 && w.power_offs[0] == 0);
     request(0, DRIVE_OFF);
-    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out); /* its answer comes later */
+    line_machine_step(&w.machine, w.now_ns, w.bytes, 0, &w.out); /* the answer arrives later */
     CHECK(w.machine.drive[0].state.stop == STOP_POWER_OFF);
     (void)shut_down();
-    CHECK(w.power_offs[0] == 4 && w.released[0] == 2); /* for the request, and for the end */
+    CHECK(w.power_offs[0] == 4 && w.released[0] == 2); /* two for the request, and two for the
+                                                          end */
 }
 
 static void open_again(uint32_t may_turn)
@@ -190,7 +191,7 @@ static void a_drive_that_was_armed_is_stopped_when_the_port_is_opened_again(void
     CHECK(w.quick_stop_ns[0] > 0 && w.quick_stop_ns[0] < opened_ns + 50 * MS);
     CHECK(w.sent_off[0] > 0);
     CHECK(w.quick_stop_ns[1] == 0 && w.sent_off[1] == 0);
-    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF); /* its set-up is Python's */
+    CHECK(w.machine.drive[0].state.mode == DRIVE_OFF); /* Python sets it up */
 }
 
 static void a_drive_silent_after_a_reopening_gets_its_stop_repeatedly(void)
@@ -214,7 +215,7 @@ static void drives_that_another_program_left_running_stop_before_they_lose_their
     line_take_over(&w.machine, w.now_ns);
     CHECK(w.machine.drive[0].state.fault_reasons == 0 &&
           w.machine.drive[1].state.fault_reasons == 0);
-    /* the table has none */
+    /* the table has no third drive */
     CHECK(!w.machine.drive[2].may_turn && !w.machine.drive[2].state.stopping);
     w.turning = 1;
     int64_t began_ns = w.now_ns;
@@ -323,7 +324,7 @@ static void a_drive_switched_off_before_it_has_received_zero_loses_its_power(voi
     CHECK(w.sent_off[0] > 0);
 }
 
-/* The drive turns and has received no stop yet; what is in transit is of its cycle. */
+/* The drive turns and has received no stop yet; a frame of its cycle is in transit. */
 static void begin_turning(void)
 {
     begin_with(1, 0);
@@ -344,7 +345,7 @@ static void a_pending_power_off_outlives_a_new_set_up(void)
         begin_turning();
         request(0, DRIVE_OFF);
         if (seen != 0) {
-            look_without_bytes(); /* else the line never sees it: READY has taken its place */
+            look_without_bytes(); /* otherwise the line sees only the READY that follows */
         }
         request(0, DRIVE_READY);
         look_without_bytes();
@@ -361,7 +362,7 @@ static void a_drive_with_a_pending_power_off_is_not_armed(void)
 {
     begin_turning();
     request(0, DRIVE_STAND_DOWN);
-    request(0, DRIVE_ARMED); /* the stop was not seen by itself */
+    request(0, DRIVE_ARMED); /* the line has not seen the stop itself */
     look_without_bytes();
     CHECK(w.machine.drive[0].state.mode == DRIVE_READY &&
           w.machine.drive[0].state.stop == STOP_POWER_OFF);
@@ -391,7 +392,7 @@ static void a_drive_that_comes_to_rest_loses_its_power_despite_a_new_set_up(void
     CHECK(w.power_offs[0] == 2);
 }
 
-/* For anything in transit when the stop comes, also an exchange with the missing drive. */
+/* Cases: whatever is in transit when the stop comes, also an exchange with the missing drive. */
 static void a_slow_reply_does_not_delay_the_stops_of_others(void)
 {
     for (uint32_t steps = 0; steps < 40; steps++) {

@@ -24,8 +24,8 @@ static line_field power_field(uint32_t joint)
                         .si_per_raw = 1.0};
 }
 
-/* Drives whose status has their power; with `reports` false it does not. `frames`: the frames of
- * their power-off that they do not acknowledge. */
+/* Drives whose status reports their power if `reports` is set. `frames`: frames of their power-off
+ * that they do not acknowledge. */
 static void begin_frames(uint32_t drives, bool reports, uint32_t frames)
 {
     begin_with(drives, 0);
@@ -108,7 +108,7 @@ static void a_drive_that_never_reports_no_power_is_named_in_the_end(void)
     CHECK(w.sent_off[0] > 3 * w.table.drive[0].disarm_count);
 }
 
-/* It receives requests, and does not carry them out. */
+/* The drive receives requests, but does not carry them out. */
 static void a_drive_that_reports_power_at_the_end_is_named(void)
 {
     begin_unanswered(1, true);
@@ -118,7 +118,7 @@ static void a_drive_that_reports_power_at_the_end_is_named(void)
     CHECK(report.drive[0].stop_waits == 1 && w.turning == 1);
 }
 
-/* An answer to any read is the only evidence. */
+/* Without reported power, an answer to any read is the only evidence. */
 static void a_drive_that_cannot_report_its_power_has_to_answer_a_read(void)
 {
     for (int cut = 0; cut < 2; cut++) {
@@ -139,7 +139,7 @@ static void an_unacknowledged_frame_of_a_power_off_suffices_when_a_read_confirms
     }
 }
 
-/* The next frame of the end that is no power-off is in transit. */
+/* Looks until the end sends a frame that is not a power-off; returns it. */
 static const uint8_t *next_read(void)
 {
     for (uint32_t looks = 0; looks < 200; looks++) {
@@ -154,7 +154,7 @@ static const uint8_t *next_read(void)
     return w.bytes;
 }
 
-/* Also a frame that comes before one that it has acknowledged. */
+/* Cases: each frame of the power-off, also the one before an acknowledged one. */
 static void while_it_reports_power_it_gets_each_unanswered_frame_again(void)
 {
     for (uint32_t frame = 0; frame < 2; frame++) {
@@ -200,7 +200,7 @@ static void reports_from_before_another_power_off_do_not_count(void)
     CHECK(report.drive[0].enabled == 2);
 }
 
-/* It refuses the read twice, reports power, and so on: only refusals in a row are counted. */
+/* The drive refuses the read twice, then reports power, and so on: only refusals in a row count. */
 static void a_read_that_is_refused_at_times_is_repeated(void)
 {
     begin_unanswered(1, true);
@@ -215,8 +215,8 @@ static void a_read_that_is_refused_at_times_is_repeated(void)
     CHECK(w.refusals == 4 && w.turning == 0 && report.drive[0].stop_waits == 0);
 }
 
-/* Read, write, read, and two extra reads, each of a register of its own. `place`: of the one that
- * reports power, numbered in this order; 5: none does. */
+/* Sets up a read, a write, a read and two extra reads, each of its own register. `place`: index, in
+ * this order, of the one that reports power; 5: no such one. */
 static void begin_reads(uint32_t place, uint32_t probe, uint32_t extra_count)
 {
     begin_unanswered(1, false);
@@ -263,7 +263,7 @@ static void the_first_read_with_power_is_used_or_else_the_probe(void)
     }
 }
 
-/* A target cannot serve as a probe: the position of the joint is unknown. */
+/* A target cannot serve as a probe, because the position of the joint is unknown. */
 static void no_position_is_sent_to_probe_a_drive(void)
 {
     begin_reads(5, 0, 1);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * fuzz_command.c: for any datagram the core gets finite numbers, of a living lease; and without
+ * fuzz_command.c: for any datagram, the core gets finite numbers of a lease that is alive. Without
  * the token no source commands. */
 #include "check.h"
 #include "rt.h"
@@ -20,7 +20,7 @@ static const core_config BASE = {
               {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.2},
               {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
 
-/* No base: two joints that take positions, and one that takes velocities. */
+/* A robot without a base: two joints that take positions, and one that takes velocities. */
 static const core_config HEAD = {
     .joint_count = 3,
     .independent = 1,
@@ -38,14 +38,15 @@ static void granted(arbiter *a, const core_config *robot)
     arbiter_grant(a, &permissions);
 }
 
-/* By the first bytes: as it is, or with more and more of what makes it a command. */
+/* Shapes the bytes, by some of them: they stay as they are, or get more and more parts of a valid
+ * command. Returns the length. */
 static size_t shaped(uint8_t *bytes, size_t size, const core_config *robot)
 {
     joint_position_datagram whole;
     memcpy(&whole, bytes, sizeof whole);
     joint_datagram head = whole.head;
     uint8_t how = bytes[8];
-    if (bytes[10] & 1) { /* of each joint what it takes */
+    if (bytes[10] & 1) { /* each joint gets the kind of command that it takes */
         whole.velocities &= robot == &HEAD ? 2 : 15;
         whole.positions &= robot == &HEAD ? 5 : 0;
     }
@@ -66,7 +67,8 @@ static size_t shaped(uint8_t *bytes, size_t size, const core_config *robot)
     return how & 64 ? (head.kind == COMMAND_JOINTS ? of_joints : (size_t)COMMAND_BYTES) : size;
 }
 
-/* Joints without a base get what they can do, and nothing of a datagram that is refused. */
+/* Joints without a base get only commands that they can carry out, and no part of a datagram that
+ * is refused. */
 static void check_joints(const arbiter *a, const core_config *robot, int code)
 {
     joint_command joints;
@@ -88,9 +90,9 @@ static void once(const uint8_t *data, size_t size)
     static uint8_t room[FUZZ_MAX];
     uint8_t bytes[FUZZ_MAX];
     memcpy(bytes, data, FUZZ_MAX);
-    const core_config *robot = bytes[9] & 1 ? &HEAD : &BASE; /* the token is not yet there */
+    const core_config *robot = bytes[9] & 1 ? &HEAD : &BASE; /* before `shaped` writes a token */
     size_t length = shaped(bytes, size, robot);
-    /* a look beyond the last byte is seen by the sanitizer */
+    /* at the very end: the sanitizer sees a read beyond it */
     uint8_t *last = room + sizeof room - length;
     memcpy(last, bytes, length);
     bool right = length >= 24 && memcmp(bytes + 8, "aaaaaaaaaaaaaaaa", TOKEN_BYTES) == 0;
@@ -104,7 +106,7 @@ static void once(const uint8_t *data, size_t size)
     CHECK(code == 0 || (out.linear_m_s == 0.0 && out.angular_rad_s == 0.0));
     CHECK(out.expires_ns <= NOW_NS + 300000000 + 10000000);
     check_joints(&a, robot, code);
-    /* a second time it is a duplicate, and the robot continues */
+    /* the same datagram again is a duplicate, and the robot continues */
     (void)arbiter_submit(&a, last, length, NOW_NS, true);
     arbiter_command(&a, NOW_NS, true, &out);
     CHECK(isfinite(out.linear_m_s) && isfinite(out.angular_rad_s));

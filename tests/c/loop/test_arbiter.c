@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Leases in detail: tokens, how old and how new a command may be, which source is held beyond the
- * end of a lease, and what is reported. */
+ * Leases in detail: tokens, the age that a command may have, which source is held beyond the end of
+ * its lease, and the report. */
 #include <math.h>
 #include <string.h>
 
@@ -18,7 +18,7 @@ typedef struct {
 
 static bench b;
 
-/* Leases are numbered from 1, as the daemon's are. */
+/* Leases are numbered from 1, like those of the daemon. */
 static void begin(void)
 {
     memset(&b, 0, sizeof b);
@@ -117,7 +117,7 @@ static void an_expired_command_is_refused(void)
     CHECK(submit(command) == 1 + REFUSED_AGE);
     b.now_ns--;
     CHECK(submit(command) == 0 && obeyed().linear_m_s == 0.1);
-    CHECK(obeyed().expires_ns == b.now_ns + 1); /* it lives no longer for having come late */
+    CHECK(obeyed().expires_ns == b.now_ns + 1); /* a late arrival does not prolong its life */
 }
 
 static void a_command_may_last_as_long_as_its_lease_allows(void)
@@ -143,7 +143,7 @@ static void the_first_sequence_may_be_any_and_none_comes_twice(void)
     CHECK(say(1, UINT64_C(1) << 63 | 5, 0.1) == 1 + REFUSED_SEQUENCE);
 }
 
-/* Zero is never one of them. */
+/* 0 is never a valid sequence number. */
 static void a_sequence_continues_past_the_end_of_its_64_bits(void)
 {
     begin();
@@ -177,14 +177,14 @@ static void among_equals_the_first_lease_commands_and_a_higher_priority_in_any_p
     begin();
     b.permissions.lease[0].priority = 20;
     arbiter_grant(&b.arbiter, &b.permissions);
-    /* the lower one was first, and comes later in the list */
+    /* the lower priority was first, and is later in the list */
     CHECK(say(1, 1, 0.2) == 0 && say(0, 1, 0.1) == 0);
     CHECK(obeyed().linear_m_s == 0.1);
     begin();
     CHECK(say(0, 1, 0.1) == 0);
     b.now_ns += LIFE_NS / 2;
     CHECK(say(1, 1, 0.2) == 0 && obeyed().linear_m_s == 0.1);
-    b.now_ns += LIFE_NS / 2; /* the first one has lapsed, and comes again after the other */
+    b.now_ns += LIFE_NS / 2; /* the first lease has lapsed, and returns after the other */
     CHECK(obeyed().linear_m_s == 0.2 && say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.2);
 }
 
@@ -250,7 +250,7 @@ static void any_rate_but_zero_is_a_limit(void)
     CHECK(say(0, 6, 0.1) == 1 + REFUSED_RATE && say(1, 6, 0.1) == 0);
 }
 
-/* The owner was held when another lease of the same owner ended. */
+/* The owner was held when another lease of it ended. */
 static void begin_barred(int64_t until_ns)
 {
     begin();
@@ -264,7 +264,7 @@ static void a_held_source_is_held_under_its_next_lease_until_the_bar_ends(void)
     begin_barred(until_ns);
     b.now_ns = until_ns - 1;
     CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.0 && lease_of(0)->held == 1);
-    b.now_ns += 200 * MS; /* it keeps sending, and the hold stays */
+    b.now_ns += 200 * MS; /* the source keeps sending, and stays held */
     CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.0);
     CHECK(say(0, 3, 0.0) == 0 && say(0, 4, 0.1) == 0 && obeyed().linear_m_s == 0.1);
     begin_barred(until_ns);
@@ -277,7 +277,7 @@ static void a_bar_counts_once_and_only_a_later_one_is_new(void)
     int64_t until_ns = 5000 * MS + 2000 * MS;
     begin_barred(until_ns);
     CHECK(say(0, 1, 0.0) == 0 && obeyed().linear_m_s == 0.0);
-    b.now_ns += LIFE_NS; /* its command has lapsed */
+    b.now_ns += LIFE_NS; /* the command has lapsed */
     CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.1);
     b.permissions.lease[0].barred_until_ns = until_ns + 1;
     arbiter_grant(&b.arbiter, &b.permissions);
@@ -285,7 +285,7 @@ static void a_bar_counts_once_and_only_a_later_one_is_new(void)
     CHECK(say(0, 3, 0.1) == 0 && obeyed().linear_m_s == 0.0);
 }
 
-/* After the computer was suspended: what was stamped before it counts as never sent. */
+/* After a suspend of the computer, commands that were stamped before it count as never sent. */
 static void after_a_suspend_no_command_is_alive(void)
 {
     begin();
@@ -302,7 +302,7 @@ static void after_a_suspend_no_command_is_alive(void)
         CHECK(b.arbiter.report.lease[lease].expires_ns == 0);
     }
     CHECK(submit(before) != 0);
-    CHECK(say(0, 3, 0.1) == 0); /* of the moment in which it continued */
+    CHECK(say(0, 3, 0.1) == 0); /* stamped at the end of the suspend */
 }
 
 static void motion_along_any_axis_holds_a_source_that_requests_it_before_arming(void)

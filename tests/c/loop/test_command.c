@@ -87,7 +87,7 @@ static void a_source_that_requests_motion_through_a_stop_is_held_until_it_reques
           1 + REFUSED_NOT_FINITE);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
     CHECK(say(&a, command_of('a', 7, START_NS, 0.1), START_NS, false) == 0);
-    int64_t later_ns = START_NS + LIFE_NS; /* or until it was silent for as long as its lease */
+    int64_t later_ns = START_NS + LIFE_NS; /* the hold ends after a silence as long as the lease */
     CHECK(say(&a, command_of('a', 8, later_ns, 0.1), later_ns, true) == 0 &&
           speed_m_s(&a, later_ns, true) == 0.1);
 }
@@ -98,7 +98,7 @@ static void a_lease_that_is_no_longer_granted_has_ended(void)
     two_sources(&a);
     CHECK(say(&a, command_of('b', 1, START_NS, 0.1), START_NS, true) == 0);
     lease_permissions permissions = {.lease = {grant_of('d', 1), grant_of('b', 30)}};
-    arbiter_grant(&a, &permissions); /* b has moved to another place, and continues */
+    arbiter_grant(&a, &permissions); /* b has another place in the list, and continues */
     CHECK(speed_m_s(&a, START_NS, true) == 0.1 && a.report.lease[1].priority == 30);
     permissions.lease[1] = (lease_permission){.number = 0};
     arbiter_grant(&a, &permissions);
@@ -176,7 +176,7 @@ static void a_wake_up_takes_a_bounded_number_of_datagrams(void)
     CHECK(ingress_wait(&in, clock_now_ns() + 10000 * MS));
     uint64_t taken = 0, now = 0;
     while ((now = ingress_take(&in, &a, true)) > 0) {
-        /* eight of the flooding source, and the other's beside them */
+        /* eight of the source that floods, and the command of the other one */
         CHECK(now <= 9 && (taken > 0 || now == 9));
         taken += now;
     }
@@ -218,7 +218,7 @@ static void more_than_ten_times_the_limit_is_refused_and_commands_zero(void)
     lease_permissions permissions = {.lease = {grant_of('a', 10)}};
     arbiter_init(&a, &base, &now);
     arbiter_grant(&a, &permissions);
-    /* the robot file's limit counts, too */
+    /* the limit of the robot file counts, too */
     CHECK(say(&a, command_of('a', 1, START_NS, -10.0), START_NS, true) == 0);
     CHECK(speed_m_s(&a, START_NS, true) == -10.0);
     CHECK(say(&a, command_of('a', 2, START_NS, 10.001), START_NS, true) ==
@@ -228,7 +228,7 @@ static void more_than_ten_times_the_limit_is_refused_and_commands_zero(void)
     turn.angular_rad_s = -1e308;
     CHECK(say(&a, turn, START_NS, true) == 1 + REFUSED_OUT_OF_RANGE &&
           speed_m_s(&a, START_NS, true) == 0.0);
-    turn.sequence = 30, turn.angular_rad_s = 20.0; /* ten times the limit is not more */
+    turn.sequence = 30, turn.angular_rad_s = 20.0; /* ten times the limit is still accepted */
     CHECK(say(&a, turn, START_NS, true) == 0);
     now.linear.velocity_u_s = 2.0;
     CHECK(say(&a, command_of('a', 40, START_NS, 20.0), START_NS, true) == 0);
@@ -273,7 +273,7 @@ static void wheel_speeds_that_form_no_twist_are_refused(void)
     CHECK(report_joints(&a, joints_of(7, 1.0, 2.0, 1.0)) == 1 + REFUSED_JOINTS);
 }
 
-/* Wheels left, right, left, right, of 0.1 m but for the last one's 0.2 m. */
+/* Wheels are left, right, left and right, with a radius of 0.1 m, the last one of 0.2 m. */
 static bool twist_of(double first, double second, double third, double fourth, double *twist_u_s)
 {
     static const core_config base = {.joint_count = 4,
@@ -299,13 +299,13 @@ static void wheels_of_a_side_agree_within_a_hundredth_of_the_fastest_wheel(void)
           fabs(twist_u_s[AXIS_ANGULAR] - 0.8) < 1e-12);
     CHECK(twist_of(0.0, 0.0, 0.0, 0.0, twist_u_s) && twist_u_s[AXIS_LINEAR] == 0.0 &&
           twist_u_s[AXIS_ANGULAR] == 0.0);
-    /* each of them, by a little more and a little less than a hundredth from the middle of both */
+    /* cases: each wheel is a little more or less than a hundredth off the mean of its side */
     CHECK(goes(10.095, 0.0, 9.905, 0.0) && !goes(10.105, 0.0, 9.895, 0.0));
     CHECK(goes(0.0, 10.095, 0.0, 4.9525) && !goes(0.0, 10.105, 0.0, 4.9475));
     CHECK(goes(-9.905, 0.0, -10.095, 0.0) && !goes(-9.895, 0.0, -10.105, 0.0));
     CHECK(goes(0.095, -10.0, -0.095, -5.0) && !goes(0.105, -10.0, -0.105, -5.0));
     CHECK(goes(-10.0, 0.095, -10.0, -0.0475) && !goes(-10.0, 0.105, -10.0, -0.0525));
-    /* also the first of three, when the others are near enough */
+    /* also if only the first of three wheels is off */
     static const core_config uneven = {.joint_count = 4,
                                        .joint = {{.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
                                                  {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
@@ -313,11 +313,12 @@ static void wheels_of_a_side_agree_within_a_hundredth_of_the_fastest_wheel(void)
                                                  {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.1}}};
     CHECK(!joints_twist(&uneven, (const double[]){10.12, 9.94, 9.94, 0.0}, twist_u_s));
     CHECK(joints_twist(&uneven, (const double[]){10.08, 9.96, 9.96, 0.0}, twist_u_s));
-    /* and, when all but rest, by a millionth of a metre a second */
+    /* nearly at rest, by a millionth of a metre per second */
     CHECK(goes(9e-6, 0.0, -9e-6, 0.0) && !goes(11e-6, 0.0, -11e-6, 0.0));
 }
 
-/* A car whose steering is one joint in front, and a base of two sides, which turns on the spot. */
+/* Two bases: a car, which is steered by one joint in front, and a base with two sides, which turns
+ * on the spot. */
 static void turns_on_the_spot_that_the_steering_cannot_do_are_counted(void)
 {
     static arbiter a;
@@ -342,15 +343,15 @@ static void turns_on_the_spot_that_the_steering_cannot_do_are_counted(void)
     command.linear_m_s = 0.1;
     CHECK(say(&a, command, START_NS, true) == 0 && a.report.on_spot == 1 && a.report.sideways == 0);
     command.sequence = 4;
-    /* counts as the other thing that it cannot do */
+    /* counts as a sideways command instead */
     command.linear_m_s = 0.0, command.lateral_m_s = 0.1;
     CHECK(say(&a, command, START_NS, true) == 0 && a.report.on_spot == 1 && a.report.sideways == 1);
     CHECK(say(&a, command_of('a', 5, START_NS, 0.0), START_NS, true) == 0);
     CHECK(a.report.on_spot == 1 && a.report.sideways == 1);
 }
 
-/* Version 1 ends before the lateral speed, which is zero; a base that cannot strafe follows the
- * rest, and the command counts. */
+/* Version 1 ends before the lateral speed, which is then zero. A base that cannot strafe follows
+ * the rest, and the command is counted. */
 static void a_command_of_either_version_is_followed(void)
 {
     static arbiter a;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_command_joints: datagrams for joints without a base: positions, velocities, and what of
- * them a joint does not take. */
+ * test_command_joints: datagrams for joints without a base: positions, velocities, and those that a
+ * joint does not take. */
 #include "steered_bases.h"
 
 #include <float.h>
@@ -26,7 +26,7 @@ static arbiter *begun(const core_config *config)
     return begun_at(config, 3);
 }
 
-/* For the head and its belt: pan to 0.5 rad, 2 rad/s of the belt. */
+/* A command for the head and its belt: pan to 0.5 rad, belt at 2 rad/s. */
 static joint_position_datagram datagram_of(uint64_t sequence)
 {
     joint_position_datagram joints = {.head = {.magic = COMMAND_MAGIC,
@@ -105,7 +105,7 @@ static void a_kind_of_command_that_a_joint_does_not_take_is_refused(void)
         joints.velocities = CASES[i].velocities, joints.positions = CASES[i].positions;
         CHECK(submit(a, &joints) == CASES[i].result);
     }
-    core_config base = good_config(); /* a base has no positions to command */
+    core_config base = good_config(); /* joints of a base take no positions */
     base.joint_count = 3;
     a = begun(&base);
     joint_position_datagram joints = datagram_of(1);
@@ -152,13 +152,13 @@ static void the_full_number_of_joints_is_commanded(void)
     CHECK(arbiter_submit(a, &joints.head, sizeof joints.head, NOW_NS, true) == 0);
     command = commanded(a);
     CHECK(command.named == 0x55 && command.value_u[6] == 8.0 && command.value_u[7] == 0.0);
-    joints.head.joint_count = JOINTS_MAX + 1, joints.head.sequence = 3; /* more than there may be */
+    joints.head.joint_count = JOINTS_MAX + 1, joints.head.sequence = 3; /* beyond the table */
     CHECK(arbiter_submit(a, &joints.head, sizeof joints.head, NOW_NS, true) == 1 + REFUSED_JOINTS);
     command = commanded(a);
     CHECK(command.named == 0 && command.value_u[0] == 0.0);
 }
 
-/* A base of four wheels, left and right in turn. */
+/* A base with four wheels: left, right, left and right. */
 static void unnamed_wheels_of_a_base_come_to_rest(void)
 {
     static const struct {
@@ -189,7 +189,7 @@ static void unnamed_wheels_of_a_base_come_to_rest(void)
     }
 }
 
-/* Each of them is a number; their twist is no number, or far out of range. */
+/* Each speed is finite, but their twist is not, or it is far out of range. */
 static void speeds_that_are_not_finite_are_refused_and_the_base_comes_to_rest(void)
 {
     static const double MOST = DBL_MAX;
@@ -197,7 +197,7 @@ static void speeds_that_are_not_finite_are_refused_and_the_base_comes_to_rest(vo
                                              {MOST, -MOST, MOST, -MOST}, {-MOST, 0.0, -MOST, 0.0},
                                              {0.0, MOST, 0.0, MOST},     {MOST, MOST, -MOST, -MOST},
                                              {0.0, 0.0, 0.0, MOST},      {MOST, 1.0, MOST, 1.0}};
-    /* and levers are 0.25 m long: sums are finite, or not */
+    /* the levers are 0.25 m long: the sums are finite for some radii only */
     static const double RADII_M[] = {0.1, 10.0};
     for (int i = 0; i < COUNT_OF(SPEEDS_RAD_S) * COUNT_OF(RADII_M); i++) {
         core_config base = good_config();
@@ -229,7 +229,7 @@ static void speeds_that_are_not_finite_are_refused_and_the_base_comes_to_rest(vo
     }
 }
 
-/* Rollers under 45 degrees: the wheels of a diagonal turn against those of the other. */
+/* The rollers are at 45 degrees: the wheels on one diagonal turn against those on the other. */
 static void wheel_speeds_that_strafe_are_a_lateral_speed(void)
 {
     core_config base = good_config();
@@ -261,7 +261,8 @@ static void without_a_lease_in_command_no_joint_is_named(void)
     CHECK(command.named == 0 && command.value_u[0] == 0.0 && command.value_u[1] == 0.0);
 }
 
-/* An older datagram gives each joint a velocity: one that takes positions has none but zero. */
+/* An older datagram gives each joint a velocity. For a joint that takes positions, it may only be
+ * zero. */
 static void datagrams_of_the_older_version_move_only_joints_with_velocity(void)
 {
     static const double PANS_RAD_S[] = {0.0, 1.0, 0.1};
@@ -299,7 +300,7 @@ static void an_angle_or_a_speed_far_out_of_range_is_refused(void)
     }
 }
 
-/* The end that is farther from zero counts for both. */
+/* The end of the range that is farther from zero counts in both directions. */
 static void an_angle_or_a_speed_is_compared_with_the_farther_end_of_its_range(void)
 {
     static const double ENDS[][2] = {{-0.5, 2.0}, {-2.0, 0.5}};
@@ -321,7 +322,7 @@ static void an_angle_or_a_speed_is_compared_with_the_farther_end_of_its_range(vo
     }
 }
 
-/* Commanded while nothing may move, a motion does not begin when it may. */
+/* A motion that is commanded while nothing may move does not begin later, when it may. */
 static void motion_that_was_requested_too_early_is_held(void)
 {
     static const struct {
@@ -336,13 +337,13 @@ static void motion_that_was_requested_too_early_is_held(void)
         joint_position_datagram joints = datagram_of(1);
         joints.velocities = CASES[i].velocities, joints.positions = CASES[i].positions;
         joints.head.velocity_rad_s[1] = CASES[i].belt_rad_s;
-        joints.position_rad[0] = 0.0; /* an angle is a motion, also that of 0 */
+        joints.position_rad[0] = 0.0; /* any position is a motion, also 0 */
         CHECK(arbiter_submit(a, &joints, sizeof joints, NOW_NS, false) == 0);
         CHECK((commanded(a).named == 0) == CASES[i].held);
-        joints.head.sequence = 2; /* also when it continues */
+        joints.head.sequence = 2; /* also while the commands continue */
         CHECK(submit(a, &joints) == 0 && (commanded(a).named == 0) == CASES[i].held);
-        joints.head.sequence = 3, joints.velocities = joints.positions = 0; /* until nothing was
-                                                                               requested */
+        joints.head.sequence = 3, joints.velocities = joints.positions = 0; /* until a command
+                                                                               requests no motion */
         CHECK(submit(a, &joints) == 0);
         joints.head.sequence = 4, joints.velocities = CASES[i].velocities,
         joints.positions = CASES[i].positions;

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Every line of guard.c, and the edges of output_guard.c on descriptors that are no GPIO lines. */
+ * Every line of guard.c, and output_guard.c on descriptors that are not GPIO lines. */
 #include <errno.h>
 #include <linux/gpio.h>
 #include <string.h>
@@ -11,7 +11,7 @@
 
 static const int64_t MS = 1000000, START_NS = 5000000000;
 
-/* A contact to ground with a pull-up: open is high. */
+/* A contact that closes to ground, with a pull-up: the line is high when it is open. */
 static guard_config open_is_high(void)
 {
     return (guard_config){.estop = 1, .estop_fd = -1, .estop_high = 1};
@@ -48,7 +48,7 @@ static void a_lost_input_stays_lost(void)
     guard g;
     CHECK(pipe(ends) == 0);
     guard_config config = open_is_high();
-    config.estop_fd = ends[0]; /* readable, and no GPIO line */
+    config.estop_fd = ends[0]; /* readable, but not a GPIO line */
     CHECK(write(ends[1], "x", 1) == 1);
     guard_init(&g, &config);
     CHECK(g.estop_input == ESTOP_CLEAR);
@@ -79,7 +79,7 @@ static void a_pin_that_cannot_be_written_is_reported_with_the_reason(void)
                                    .watchdog_every_ticks = 1,
                                    .heartbeat_timeout_ns = MS});
     CHECK(ioctl(-1, GPIO_V2_LINE_SET_VALUES_IOCTL, &(struct gpio_v2_line_values){0}) != 0);
-    /* EBADF; an emulator without this request has another one */
+    /* EBADF; an emulator without this request reports another errno */
     const int reason = errno;
     guard_drive_watchdog(&g, &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS});
     CHECK(g.watchdog_edges == 1 && g.watchdog_errno == reason && g.watchdog_well == 1);
@@ -94,7 +94,7 @@ typedef struct {
     watchdog_input input;
 } rig;
 
-/* Line 1 has 50 ms, a tick is 1 ms, all live. */
+/* A tick is 1 ms, line 1 has a time-out of 50 ms, and all parts run. */
 static rig living(void)
 {
     rig r = {.config = {.watchdog = 1, .watchdog_every_ticks = 1, .heartbeat_timeout_ns = 500 * MS},
@@ -103,7 +103,8 @@ static rig living(void)
     return r;
 }
 
-/* Ticks of 1 ms; how often the pin changed. */
+/* Makes ticks of 1 ms. Returns how often the pin changed. `asyncio`, `line`: whether that part
+ * gives signs of life. */
 static uint32_t edges_in(rig *r, uint32_t ticks, bool asyncio, bool line)
 {
     uint32_t edges = 0;
@@ -168,7 +169,7 @@ static void a_line_that_hangs_counts_until_it_resumes_even_with_no_drive_enabled
     (void)edges_in(&r, 52, true, false);
     r.input.enabled = false;
     CHECK(edges_in(&r, 1000, true, false) == 0);
-    r.input.enabled = true; /* to enable again is no sign of life */
+    r.input.enabled = true; /* enabling is no sign of life */
     CHECK(edges_in(&r, 100, true, false) == 0);
     r.input.enabled = false;
     CHECK(edges_in(&r, 100, true, true) == 100);
@@ -180,7 +181,7 @@ static void the_first_line_is_watched_as_the_others_are(void)
     rig r = living();
     r.config.line_timeout_ns[0] = 50 * MS;
     r.input.enabled = true;
-    CHECK(edges_in(&r, 51, true, true) == 51); /* line 0 takes nothing */
+    CHECK(edges_in(&r, 51, true, true) == 51); /* line 0 takes no set-points */
     (void)edges_in(&r, 1, true, true);
     CHECK(edges_in(&r, 100, true, true) == 0);
     r.config.line_timeout_ns[0] = -1;
@@ -206,7 +207,7 @@ static void a_heartbeat_from_the_future_does_not_count(void)
         bool well = watchdog_step(
             &state, &config,
             &(watchdog_input){.now_ns = START_NS, .heartbeat_ns = START_NS + ahead_ns});
-        CHECK(well == (ahead_ns == 10 * MS)); /* written meanwhile */
+        CHECK(well == (ahead_ns == 10 * MS)); /* a little ahead: written during the tick */
     }
 }
 

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The loop on clocks that are not as they should be. Each tick's time is the test's. */
+ * The loop on clocks that jump or stop. The test gives each tick its time. */
 #include <math.h>
 #include <string.h>
 #include <sys/syscall.h>
@@ -17,8 +17,8 @@ static loop_work work;
 static int64_t now_ns;
 static int64_t slept_ns;
 
-/* In the C library's place: a computer that was suspended for so long. CLOCK_MONOTONIC stood
- * still meanwhile. */
+/* Replaces the C library's function: a computer that was suspended for `slept_ns`, while
+ * CLOCK_MONOTONIC stood still. */
 int clock_gettime(clockid_t clock, struct timespec *out)
 {
     long failed = syscall(SYS_clock_gettime, clock, out);
@@ -30,7 +30,7 @@ int clock_gettime(clockid_t clock, struct timespec *out)
     return (int)failed;
 }
 
-/* Two wheels that report their speeds. */
+/* A base with two wheels that report their speeds. */
 static core_config base(void)
 {
     core_config config = good_config();
@@ -77,7 +77,7 @@ static void tick(int64_t after_ns)
     loop_tick(&work, now_ns, now_ns);
 }
 
-/* Armed, and at the commanded speed. */
+/* Arms the base and drives until it has the commanded speed. */
 static void drive(void)
 {
     const loop_config loop = {.rate_hz = 1000, .event_fd = -1, .command_fd = -1};
@@ -143,10 +143,10 @@ static void a_clock_that_runs_backwards_stops_the_base_at_once(void)
     CHECK(work.core.snapshot.faults == FAULT_TIME_STEP && work.out.joint[0].velocity_rad_s == 0.0);
 }
 
-/* Time follows the real clock, which shows when the computer woke up. */
+/* From here on the time is that of the real clock, which shows that the computer was suspended. */
 static void wake_up(int64_t after_ns)
 {
-    while (clock_now_ns() <= now_ns) { /* the ticks so far were of the test's own making */
+    while (clock_now_ns() <= now_ns) { /* the test's own time was ahead of the clock */
         (void)usleep(1000);
     }
     slept_ns += after_ns;

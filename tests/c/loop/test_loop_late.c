@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The log of late ticks. The clock runs, so checks are lower bounds. */
+ * The log of late ticks. The clock is the real one, so the checks are lower bounds. */
 #include <string.h>
 #include <sys/mman.h>
 #include <unistd.h>
@@ -9,7 +9,7 @@
 
 static late_log log_now;
 
-/* A tick that began now, and whose deadline was so long ago. */
+/* Makes a tick that begins now, `after_ns` after its deadline. */
 static late_tick one_tick(int64_t after_ns)
 {
     int64_t now_ns = clock_now_ns();

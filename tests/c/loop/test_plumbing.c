@@ -28,17 +28,17 @@ static void a_mailbox_gives_the_newest_value(void)
     }
 }
 
-/* No slot is the writer's, the reader's and the newest value's at once. */
+/* Whether the slots of the writer, of the reader and of the newest value all differ. */
 static bool slots_are_apart(const mailbox *m)
 {
     return (1U << m->back | 1U << m->front | 1U << (m->middle & 3)) == 7;
 }
 
-/* Also in the moments between: what the reader holds is not written to, and what the writer
- * fills is not read. */
+/* This holds between the steps of both sides, too: the reader's slot is not written, and the
+ * writer's slot is not read. */
 static void writer_reader_and_the_newest_value_never_share_a_slot(void)
 {
-    /* whatever was there before */
+    /* any old content */
     mailbox m = {.middle = UINT32_MAX, .back = UINT32_MAX, .front = UINT32_MAX};
     uint32_t slot[MAILBOX_SLOTS] = {0}, value = 0;
     mailbox_init(&m);
@@ -56,7 +56,8 @@ static void writer_reader_and_the_newest_value_never_share_a_slot(void)
 
 static void a_ring_gives_all_in_order_and_takes_no_more_than_it_holds(void)
 {
-    ring r = {.head = UINT32_MAX - 1, .tail = UINT32_MAX - 1}; /* its positions wrap */
+    ring r = {.head = UINT32_MAX - 1, .tail = UINT32_MAX - 1}; /* so that its positions wrap
+                                                                  round */
     uint64_t places[4], out = 0;
     CHECK(!ring_take(&r, places, 4, &out, sizeof out));
     for (uint64_t round = 0; round < 3; round++) {
@@ -115,7 +116,7 @@ static void each_value_has_a_box_of_its_own(void)
           exchange_line_wake(&x, LINES_MAX) == -1);
 }
 
-/* Old content of the memory is no value, no wake-up and no count. */
+/* Old content of the memory counts neither as a value nor as a wake-up or a count. */
 static void an_exchange_begins_empty_in_memory_that_was_used_before(void)
 {
     static exchange x;
@@ -175,8 +176,8 @@ static void set_points_carry_how_often_they_became_enabled(void)
     CHECK(exchange_enabled_count(&x, LINES_MAX + 1) == 0);
 }
 
-/* What a line's thread finds at the moment in which the set-points are copied: their second half
- * lies in a page that cannot be read before it has looked. */
+/* While set-points are copied, a signal handler looks at the exchange like the thread of a line.
+ * The second half of the set-points is in a page that cannot be read before this look. */
 static exchange looked_at;
 static uint8_t *second_half;
 static volatile uint64_t count_meanwhile;
@@ -208,7 +209,7 @@ static void no_count_is_ahead_of_its_set_points(void)
     CHECK(exchange_take_setpoints(&looked_at, 0, &out) == 1 && out.enabled == 1);
 }
 
-/* Offsets as docs/state-page.md gives them, not as page.c has them. */
+/* Offsets from docs/state-page.md, independent of page.c. */
 enum {
     LAYOUT_VERSION_AT = 8,
     SLOT_STRIDE_AT = 20,
@@ -238,8 +239,8 @@ static void a_page_is_read_as_it_was_written(uint8_t *page)
     }
 }
 
-/* A reader that comes while a slot is written sees an odd number: here the number itself is what
- * is written. */
+/* A reader sees an odd number while a slot is being written. Here that number itself is the content
+ * to be written. */
 static void a_slot_is_marked_while_it_is_written(uint8_t *page)
 {
     uint64_t mark;
@@ -275,7 +276,7 @@ static void a_page_begins_empty_in_memory_that_was_used_before(uint8_t *page)
     for (uint32_t slot = 0; slot < 4; slot++) {
         all_zero(page + SLOTS_AT + slot * stride, 8 + sizeof(robot_state));
     }
-    CHECK(page[SLOTS_AT + 4 * stride] == 0xAA); /* and nothing after the last */
+    CHECK(page[SLOTS_AT + 4 * stride] == 0xAA); /* bytes after the last slot are unchanged */
 }
 
 static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
@@ -291,8 +292,8 @@ static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
     page[LAYOUT_VERSION_AT]--;
     CHECK(page_read(page, &read) == 0);
     memcpy(&stride, page + SLOT_STRIDE_AT, sizeof stride);
-    /* nine were written, so the newest is in the first slot: as if the writer had stopped within
-     * it */
+    /* nine have been written, so the newest is in the first slot: as if the writer had stopped in
+     * the middle of it */
     set_word(page, SLOTS_AT, 2 * 9 - 1);
     CHECK(page_read(page, &read) == -EAGAIN);
     set_word(page, SLOTS_AT, 2 * 9);
@@ -302,7 +303,7 @@ static void a_page_that_cannot_be_trusted_is_refused(uint8_t *page)
     CHECK(stride == 8 + sizeof read + (64 - (8 + sizeof read) % 64) % 64);
 }
 
-/* Offsets as docs/replay.md gives them. */
+/* Offsets from docs/replay.md. */
 enum {
     RECORD_COUNT_AT = 12,
     RECORD_STRIDE_AT = 16,
@@ -316,7 +317,8 @@ enum {
     WRITTEN_AT = 48
 };
 
-/* The slot's whole content, when it holds `number`. */
+/* Copies the content of a slot to `out`. Returns whether the slot holds the complete record
+ * `number`. */
 static bool holds(const uint8_t *slot, uint64_t number, void *out, size_t bytes)
 {
     uint64_t sequence;
@@ -350,7 +352,7 @@ static void a_journal_holds_input_and_output(void)
     CHECK(written[0] == JOURNAL_RECORDS + 1 &&
           written[1] == 1 + JOURNAL_RECORDS / JOURNAL_CHECKPOINT_EVERY);
     const uint8_t *records = journal + place(journal, RECORDS_AT);
-    /* the first slot, for the second time */
+    /* the first slot is used for the second time */
     CHECK(holds(records, JOURNAL_RECORDS + 1, &record, sizeof record));
     CHECK(record.tick == JOURNAL_RECORDS + 1 && record.dt_s == 0.001 &&
           record.digest == journal_digest(&snapshot));
@@ -393,7 +395,7 @@ static void a_journal_begins_empty_with_its_layout(void)
     free(journal);
 }
 
-/* FNV-1a of 64 bits over words: docs/replay.md. */
+/* FNV-1a of 64 bits over words: see docs/replay.md. */
 static void a_digest_is_the_same_in_any_program(void)
 {
     robot_state snapshot;
@@ -413,8 +415,8 @@ static void a_late_tick_skips_and_never_bursts(void)
         int64_t deadline_ns = 1000;
         uint64_t skipped = schedule_next(&deadline_ns, 100, 1000 + late_ns);
         CHECK(deadline_ns % 100 == 0);                             /* on the grid */
-        CHECK(deadline_ns >= 1000 + late_ns);                      /* not past */
-        CHECK(deadline_ns - 100 < 1000 + late_ns || skipped == 0); /* the first such */
+        CHECK(deadline_ns >= 1000 + late_ns);                      /* not in the past */
+        CHECK(deadline_ns - 100 < 1000 + late_ns || skipped == 0); /* the first such time */
         CHECK((int64_t)skipped == (deadline_ns - 1100) / 100);
     }
 }

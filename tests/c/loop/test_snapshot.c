@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_snapshot: what a tick reports: every field from its own place, and NaN for what is not
+ * test_snapshot: the report of a tick: each field has its own value, and is NaN if it is not
  * measured. */
 #include <stdlib.h>
 
@@ -14,7 +14,7 @@ static core_config config_with_gyro(void)
     return config;
 }
 
-/* A sample in each tick, with that rate about z. */
+/* Makes a tick in which the sensor reports this rate about z. */
 static const robot_state *tick_with(double rate_rad_s)
 {
     r->input.imu = (imu_sample){.stamp_ns = r->input.now_ns + TICK_NS,
@@ -33,7 +33,7 @@ static void begin(void)
         feedback->temperature_c = 40.0 + j;
     }
     for (int i = 0; i < 2500; i++) {
-        (void)tick_with(0.125); /* the gyro's bias is known */
+        (void)tick_with(0.125); /* until the gyro's bias is known */
     }
 }
 
@@ -51,7 +51,8 @@ static void each_wheel_is_reported_separately(void)
 {
     begin();
     drive();
-    r->input.feedback[1].drive_faults = 0; /* a fault would stop it; its word is checked below */
+    r->input.feedback[1].drive_faults = 0; /* a fault would stop the base; the fault word is checked
+                                              below */
     const robot_state *shown = tick_with(0.875);
     for (uint32_t j = 0; j < 4; j++) {
         const joint_state *joint = &shown->joint[j];
@@ -172,7 +173,7 @@ static void the_motion_of_the_base_and_its_reasons_are_reported(void)
     r->input.command.stamp_ns = r->input.now_ns - 50 * MS_NS;
     shown = tick_with(0.875);
     CHECK(fabs(shown->command_age_s - 0.051) < 1e-9);
-    r->input.command.stamp_ns = r->input.now_ns + 2 * TICK_NS; /* a little ahead: it has no age */
+    r->input.command.stamp_ns = r->input.now_ns + 2 * TICK_NS; /* a little ahead: its age is 0 */
     CHECK(tick_with(0.875)->command_age_s == 0.0);
     r->input.command.stamp_ns = r->input.now_ns - 400 * MS_NS;
     shown = tick_with(0.875);
@@ -195,7 +196,7 @@ static void a_heading_stays_within_half_a_turn(void)
     CHECK(r->shown.turned_rad > 6.5);
 }
 
-/* Of a base that strafes; one wheel slips meanwhile. */
+/* The base strafes, and one wheel slips. */
 static void lateral_motion_is_reported_like_the_other_two(void)
 {
     core_config config = good_config();
@@ -224,12 +225,12 @@ static void lateral_motion_is_reported_like_the_other_two(void)
     config = good_config();
     start(r, &config);
     go(r, 0.2, 0.0);
-    /* it has none */
+    /* this base has no lateral axis */
     r->state.odometry.lateral_covariance[0] = r->state.odometry.lateral_covariance[2] = 1.0;
     CHECK(tick(r)->lateral.covariance[0] == 0.0 && r->shown.lateral.covariance[2] == 0.0);
 }
 
-/* A steering joint is shown with its angle, and with its target while it has power and a known
+/* A steering joint is reported with its angle, and with its target while it has power and a known
  * position. */
 static void joints_that_take_positions_are_reported_with_their_set_points(void)
 {
@@ -283,7 +284,7 @@ static void every_reason_is_reported_independently_with_its_start_time(void)
         shown = tick(r);
     }
     CHECK(since_ns < shown->stamp_ns && shown->reason.since_ns[16] <= since_ns);
-    r->input.control.stop = 0; /* one ends: the others have been there since when they came */
+    r->input.control.stop = 0; /* one reason ends; the others keep the time of their beginning */
     all &= ~(uint32_t)REASON_STOP_REQUESTED;
     shown = tick(r);
     for (uint32_t bit = 0; bit < REASONS_MAX; bit++) {
@@ -294,8 +295,7 @@ static void every_reason_is_reported_independently_with_its_start_time(void)
     core_config base = good_config();
     start(r, &base);
     go(r, 0.5, 0.0);
-    r->input.command.linear_m_s = 1.05; /* more than it may, and of the first bit alone that is a
-                                           reason */
+    r->input.command.linear_m_s = 1.05; /* beyond the limit: a single reason, the first bit */
     r->input.control.limits.linear.velocity_u_s = 0.5;
     since_ns = tick(r)->stamp_ns;
     shown = ticks(r, 3);

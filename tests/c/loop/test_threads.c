@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What threads share, shared by real threads: for ThreadSanitizer, and for the values themselves.
- * Each value that crosses is made from one number, so half of one and half of another is seen. */
+ * Data that threads share, used by real threads: for ThreadSanitizer, and to check the values. Each
+ * value is made from one number, so a mixture of two values is detected. */
 #include <errno.h>
 #include <math.h>
 #include <pthread.h>
@@ -114,7 +114,7 @@ static void *reads_the_histogram(void *unused)
     return NULL;
 }
 
-/* An entry is whole or refused, and the newest can always be read until it is overwritten. */
+/* An entry is read completely or not at all. The newest one can be read until it is overwritten. */
 static void *reads_the_trace(void *unused)
 {
     (void)unused;
@@ -174,7 +174,7 @@ static core_config base(void)
         .velocity_u_s = 1, .acceleration_u_s2 = 5, .deceleration_u_s2 = 5, .jerk_u_s3 = INFINITY};
     config.joint_count = 2;
     config.limits = (base_limits){.linear = axis, .angular = axis, .lateral = axis};
-    /* long: a slow machine is no fault here */
+    /* long, because a slow machine is no fault here */
     config.command_timeout_s = config.feedback_timeout_s = config.heartbeat_timeout_s = 60;
     config.rest_velocity_rad_s = 0.05;
     config.distance_variance_m2_per_m = config.turn_variance_rad2_per_rad = 1e-3;
@@ -193,7 +193,7 @@ static core_config base(void)
     return config;
 }
 
-/* The line's thread: takes set-points, answers as a drive that does what it is sent. */
+/* The thread of a line: takes set-points, and feeds back that the drive follows them. */
 static void *is_the_line(void *unused)
 {
     (void)unused;
@@ -204,7 +204,7 @@ static void *is_the_line(void *unused)
         CHECK(exchange_take_setpoints(x, 0, &wanted) >= 0);
         for (uint32_t joint = 0; joint < 2; joint++) {
             double velocity_rad_s = wanted.joint[joint].velocity_rad_s;
-            count[joint] += velocity_rad_s; /* a millisecond of it at 0.001 rad a count */
+            count[joint] += velocity_rad_s; /* travel of 1 ms, at 0.001 rad per count */
             joint_feedback feedback = {.stamp_ns = clock_now_ns(),
                                        .count = (uint64_t)(int64_t)count[joint],
                                        .velocity_rad_s = velocity_rad_s,
@@ -218,8 +218,8 @@ static void *is_the_line(void *unused)
 
 static int door[2];
 
-/* asyncio's thread: beats, commands, looks, until enough ticks have gone by with the wheels
- * turning. */
+/* The thread of asyncio: sends heartbeats and commands, and reads the state, until the wheels have
+ * turned and enough ticks have passed. */
 static void *is_asyncio(void *config)
 {
     exchange *x = loop_exchange();

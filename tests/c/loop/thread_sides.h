@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * thread_sides.h: the loop's side of a line's thread, and the socket pair that stands for its
+ * thread_sides.h: the loop's part for the thread of a line, and the socket pair that replaces its
  * medium. */
 #ifndef MOTORD_TESTS_THREAD_SIDES_H
 #define MOTORD_TESTS_THREAD_SIDES_H
@@ -16,9 +16,9 @@
 
 static exchange shared;
 static _Atomic bool over;
-static int ends[2]; /* the thread's and the peer's */
+static int ends[2]; /* 0: the end of the thread, 1: that of its peer */
 
-/* Set-points that are not zero, always fresh. */
+/* Sends set-points that are fresh and not zero. */
 static inline void *core(void *arg)
 {
     (void)arg;
@@ -38,7 +38,7 @@ static inline line_place place_of_the_thread(void)
     return (line_place){.fd = ends[0], .event_fd = eventfd(0, EFD_NONBLOCK), .exchange = &shared};
 }
 
-/* A short pause, within twenty seconds of `begin_ns`. */
+/* Waits a moment; fails later than 20 s after `begin_ns`. */
 static inline void look_again(int64_t begin_ns)
 {
     CHECK(clock_now_ns() < begin_ns + INT64_C(20000000000));

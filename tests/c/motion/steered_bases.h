@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * steered_bases.h: bases whose wheels are steered, of each kind, and joints without a base,
- * around good_config(). */
+ * steered_bases.h: each kind of base with steered wheels, and joints without a base, based on
+ * good_config(). */
 #ifndef MOTORD_TESTS_STEERED_BASES_H
 #define MOTORD_TESTS_STEERED_BASES_H
 
@@ -34,7 +34,7 @@ static inline joint_config turning_within(double range_rad)
     return joint;
 }
 
-/* Without modules and joints yet, except for a module after the last one, which does not count. */
+/* A base that has no joints and modules yet. The module after the last one must not count. */
 static inline core_config empty_base(uint32_t joints, uint32_t modules, uint32_t steering,
                                      uint32_t traction)
 {
@@ -45,7 +45,7 @@ static inline core_config empty_base(uint32_t joints, uint32_t modules, uint32_t
     return base;
 }
 
-/* Joint 0 rolls the wheel behind, joint 1 steers the one in front. */
+/* Joint 0 rolls the rear wheel, joint 1 steers the front wheel. */
 static inline core_config bicycle(void)
 {
     core_config base = empty_base(2, 2, 2, 1);
@@ -55,7 +55,7 @@ static inline core_config bicycle(void)
     return base;
 }
 
-/* The wheel in front is steered by joint 1 and rolled by joint 0. */
+/* Joint 0 rolls the front wheel, joint 1 steers it. */
 static inline core_config tricycle(void)
 {
     core_config base = empty_base(2, 3, 2, 1);
@@ -66,8 +66,8 @@ static inline core_config tricycle(void)
     return base;
 }
 
-/* Two wheels behind roll, joints 0 and 1; two in front, or behind them, are steered by joints 2
- * and 3. */
+/* Joints 0 and 1 roll two fixed wheels. Joints 2 and 3 steer two others, in front of them or behind
+ * them. */
 static inline core_config ackermann(double wheelbase_m)
 {
     core_config base = empty_base(4, 4, 3, 1);
@@ -80,7 +80,7 @@ static inline core_config ackermann(double wheelbase_m)
     return base;
 }
 
-/* Joints 0 and 2 steer what joints 1 and 3 roll. */
+/* Joints 0 and 2 steer two wheels, joints 1 and 3 roll them. */
 static inline core_config swerve(void)
 {
     core_config base = empty_base(4, 2, 1, 2);
@@ -92,7 +92,7 @@ static inline core_config swerve(void)
     return base;
 }
 
-/* At the corners: joints 0, 2, 4 and 6 steer what joints 1, 3, 5 and 7 roll. */
+/* A wheel at each corner: joints 0, 2, 4 and 6 steer, joints 1, 3, 5 and 7 roll them. */
 static inline core_config swerve_of_four(void)
 {
     core_config base = empty_base(8, 4, 1, 2);
@@ -115,7 +115,7 @@ static inline core_config head_and_belt(void)
     return joints;
 }
 
-/* Of the most joints that there may be: belts are the even ones. */
+/* The largest number of joints: even ones are belts, odd ones are heads. */
 static inline core_config heads_and_belts(void)
 {
     core_config joints = empty_base(JOINTS_MAX, 0, 1, 2);
@@ -126,7 +126,7 @@ static inline core_config heads_and_belts(void)
     return joints;
 }
 
-/* --- numbers by chance, the same in every run */
+/* --- random numbers, the same in every run */
 static uint64_t noise = 88172645463325252U;
 
 static inline double any(double least, double most)

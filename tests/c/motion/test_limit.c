@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_limit: one step of the ramp in numbers, and whole ramps against what is physically the
- * shortest time. */
+ * test_limit: single steps of the ramp, and whole ramps compared with the physically shortest
+ * time. */
 #include <float.h>
 #include <math.h>
 
@@ -17,7 +17,7 @@ static bool near(double value, double expected)
     return fabs(value - expected) < 1e-12;
 }
 
-/* From a linear, an angular and a lateral velocity at constant speed, with dt 0.01 s. */
+/* Steps of 0.01 s, which begin at a constant linear, angular and lateral velocity. */
 static const struct {
     bool soft, urgent;
     double from[AXES], goal[AXES], expected[AXES];
@@ -34,13 +34,14 @@ static const struct {
     {false, false, {0.0, 0.0}, {0.01, 0.0}, {0.01, 0.0}, 0},
     {false, false, {1.0, 1.0}, {1.0, 1.0}, {1.0, 1.0}, 0},
     {false, false, {0.0, 0.0}, {0.1, 0.0}, {0.01, 0.0}, REASON_LINEAR_ACCELERATION},
-    /* through zero: no more after it than it may gain, no more before than it may lose */
+    /* through zero: after it no more than the acceleration, before it no more than the
+     * deceleration */
     {false, false, {0.02, 0.0}, {-1.0, 0.0}, {0.005, 0.0}, REASON_LINEAR_DECELERATION},
     {false, false, {0.012, 0.0}, {-1.0, 0.0}, {0.0, 0.0}, REASON_LINEAR_ACCELERATION},
     {false, false, {0.005, 0.0}, {-1.0, 0.0}, {-0.005, 0.0}, REASON_LINEAR_ACCELERATION},
     {false, false, {0.0, -0.035}, {0.0, 1.0}, {0.0, 0.0}, REASON_ANGULAR_ACCELERATION},
     {false, false, {0.0, -0.02}, {0.0, 1.0}, {0.0, 0.01}, REASON_ANGULAR_ACCELERATION},
-    /* the axis with the least room sets the pace of both */
+    /* the axis with the least room slows both */
     {false, false, {0.0, 0.0}, {1.0, 1.0}, {0.01, 0.01}, REASON_LINEAR_ACCELERATION},
     {false, false, {0.0, 0.0}, {0.1, 1.0}, {0.003, 0.03}, REASON_ANGULAR_ACCELERATION},
     {false, false, {0.0, 2.0}, {0.1, 0.0}, {0.002, 1.96}, REASON_ANGULAR_DECELERATION},
@@ -50,7 +51,7 @@ static const struct {
     {true, true, {0.0, 0.0}, {1.0, 0.0}, {0.01, 0.0}, REASON_LINEAR_ACCELERATION},
     {true, true, {1.0, 0.0}, {0.0, 0.0}, {0.985, 0.0}, REASON_LINEAR_DECELERATION},
     {true, true, {0.01, 0.0}, {0.0, 0.0}, {0.0, 0.0}, 0},
-    /* sideways */
+    /* lateral */
     {false, false, {0.0}, {0.0, 0.0, 1.0}, {0.0, 0.0, 0.008}, REASON_LATERAL_ACCELERATION},
     {false, false, {0.0, 0.0, 1.0}, {0.0}, {0.0, 0.0, 0.988}, REASON_LATERAL_DECELERATION},
     {true, false, {0.0}, {0.0, 0.0, -1.0}, {0.0, 0.0, -0.0006}, REASON_LATERAL_JERK},
@@ -85,7 +86,7 @@ static void an_acceleration_is_kept_in_its_direction_and_dropped_against_it(void
     }
 }
 
-/* The shortest time in which a speed can change by so much. */
+/* The shortest time in which a speed can change by `change`. */
 static double shortest_s(double change, double acceleration, double jerk)
 {
     return change >= acceleration * acceleration / jerk
@@ -116,7 +117,7 @@ static void a_ramp_takes_the_shortest_time_and_is_soft_at_both_ends(void)
         goal[a] = falls ? 0.0 : sign * any(0.2, 3.0);
         limit_state axis[AXES] = {0};
         axis[a].velocity_u_s = sign * from;
-        double apart = round % 2 == 0 ? any(0.0, 0.5) : 0.0; /* neither end at zero */
+        double apart = round % 2 == 0 ? any(0.0, 0.5) : 0.0; /* so that neither end is zero */
         goal[a] += sign * apart, axis[a].velocity_u_s += sign * apart;
         double bound = falls ? of->deceleration_u_s2 : of->acceleration_u_s2, last = 0.0,
                most = 0.0;
@@ -136,7 +137,8 @@ static void a_ramp_takes_the_shortest_time_and_is_soft_at_both_ends(void)
     }
 }
 
-/* From `from` to zero, eased so that it passes zero with no more than `gains`, and on to `to`. */
+/* The shortest time from `from` to zero, with an acceleration of at most `gains` at zero, and on to
+ * `to`. */
 static double shortest_through_zero_s(double from, double to, double gains, double loses,
                                       double jerk)
 {
@@ -146,7 +148,8 @@ static double shortest_through_zero_s(double from, double to, double gains, doub
     return before_s + (to - gains * gains / (2.0 * jerk)) / gains + gains / jerk;
 }
 
-/* Where it may gain less than it may lose, it is eased before it changes its sign. */
+/* If the acceleration limit is below that of the deceleration, the ramp eases before it passes
+ * zero. */
 static void a_change_of_sign_is_eased_and_loses_no_time(void)
 {
     for (int round = 0; round < 200; round++) {
@@ -162,7 +165,8 @@ static void a_change_of_sign_is_eased_and_loses_no_time(void)
             ramp_step(axis, AXES, &limits, NULL, goal, DT_S, false);
             double now = (before - axis[0].velocity_u_s) / DT_S;
             CHECK(now <= (before > 0.0 ? loses : gains) + 1e-9);
-            if (axis[0].velocity_u_s < -1e-9 && before > 0.0) { /* a step through zero keeps both */
+            if (axis[0].velocity_u_s < -1e-9 && before > 0.0) { /* a step through zero keeps both
+                                                                   limits */
                 CHECK(now <= gains + 1e-9);
             }
             CHECK(fabs(now - last) <= jerk * DT_S + 1e-9);
@@ -186,8 +190,8 @@ static core_config with_slew(double slew_per_s)
 
 static void a_duty_slew_bounds_the_acceleration_of_a_wheel(void)
 {
-    /* 0.1 a second of 16 rad/s over 0.8 of the duty: 2 rad/s2 at the wheel, 0.2 m/s2, 0.8 rad/s2
-     * in a turn */
+    /* 0.1 of duty per second, at 16 rad/s for 0.8 of duty: 2 rad/s2 at the wheel, which is 0.2
+     * m/s2, or 0.8 rad/s2 in a turn */
     core_config base = with_slew(0.1);
     static const struct {
         double from[AXES], goal[AXES], expected[AXES];
@@ -207,7 +211,8 @@ static void a_duty_slew_bounds_the_acceleration_of_a_wheel(void)
     for (size_t i = 0; i < sizeof CASES / sizeof CASES[0]; i++) {
         limit_state axis[AXES] = {{CASES[i].from[0], 0.0}, {CASES[i].from[1], 0.0}};
         uint32_t reason = ramp_step(axis, AXES, &PLAIN, &base, CASES[i].goal, DT_S, false);
-        if (i == 6) { /* left slows down, right keeps its speed: the deceleration alone counts */
+        if (i == 6) { /* the left wheel slows down, the right one keeps its speed: only the
+                         deceleration counts */
             CHECK(reason == REASON_LINEAR_DECELERATION || reason == REASON_ANGULAR_ACCELERATION);
             continue;
         }
@@ -225,7 +230,7 @@ static void a_goal_within_a_step_is_reached_exactly(void)
                                   {goal[1] + any(-0.02, 0.02), 0.0}};
         CHECK(ramp_step(axis, AXES, &PLAIN, NULL, goal, DT_S, false) == 0);
         CHECK(axis[0].velocity_u_s == goal[0] && axis[1].velocity_u_s == goal[1]);
-        /* a distance divided by it and multiplied by it is rounded */
+        /* a distance that is divided and multiplied by dt_s is rounded */
         double dt_s = any(0.001, 0.05);
         axis[0] = axis[1] = (limit_state){0};
         goal[0] = any(-0.9, 0.9) * dt_s, goal[1] = any(-0.9, 0.9) * dt_s;
@@ -300,7 +305,7 @@ static void a_state_that_is_not_finite_rests_and_such_a_goal_is_zero(void)
     CHECK(ramp_step(axis, AXES, &PLAIN, NULL, (const double[AXES]){0.5, 0.5}, 0.0, true) == 0 &&
           axis[0].velocity_u_s == 0.0);
     axis[0] = axis[1] = (limit_state){0};
-    core_config base = with_slew(INFINITY); /* no slew is no limit */
+    core_config base = with_slew(INFINITY); /* infinite, so no limit */
     CHECK(ramp_step(axis, AXES, &PLAIN, &base, (const double[AXES]){1.0, 0.0}, DT_S, false) ==
           REASON_LINEAR_ACCELERATION);
     CHECK(near(axis[0].velocity_u_s, 0.01));

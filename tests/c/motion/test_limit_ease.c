@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_limit_ease: how fast one step may be where the next ones must be slower, against a search
- * that tries it out. */
+ * test_limit_ease: how large one step may be if the next ones have to be smaller, compared with the
+ * result of a search. */
 #include <math.h>
 
 #include "check.h"
@@ -16,7 +16,7 @@ static double any(double least, double most)
     return least + (most - least) * (double)(noise % 100001) * 1e-5;
 }
 
-/* Whether this acceleration, `step` less in each step, is gone before `gap` is used up. */
+/* Whether an acceleration that decreases by `step` in each step ends within `gap`. */
 static bool eases(double first, double gap, double step, double unused)
 {
     (void)unused;
@@ -27,7 +27,7 @@ static bool eases(double first, double gap, double step, double unused)
     return used <= gap;
 }
 
-/* Whether it is at most `after` in the step that passes `gap`. */
+/* Whether the acceleration is at most `after` in the step that passes `gap`. */
 static bool turns_gently(double first, double gap, double step, double after)
 {
     double used = 0.0;
@@ -40,7 +40,7 @@ static bool turns_gently(double first, double gap, double step, double after)
     return true;
 }
 
-/* The largest for which it holds; it holds for all that are smaller. */
+/* The largest first value for which `holds` is true; it is true for all smaller ones. */
 static double largest(bool (*holds)(double, double, double, double), double gap, double step,
                       double after)
 {
@@ -57,7 +57,7 @@ static double step_of(double from, double goal, double gains, double jerk, uint3
     base_limits limits = {.linear = {1e6, gains, FAST_U_S2, jerk},
                           .angular = {1.0, 1.0, 1.0, INFINITY}};
     double sense = goal > from ? 1.0 : -1.0;
-    /* fast enough already: the growth bounds nothing */
+    /* already fast: the jerk limit does not matter */
     limit_state axis[AXES] = {{from, sense * FAST_U_S2}};
     uint32_t reason =
         ramp_step(axis, AXES, &limits, NULL, (const double[AXES]){goal, 0.0}, DT_S, false);

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The small pure functions by their exact numbers: angle.c, pwm.c, speed_loop.c. */
+ * The small pure functions of angle.c, pwm.c and speed_loop.c with their exact numbers. */
 #include <math.h>
 #include <string.h>
 
@@ -28,11 +28,11 @@ static void sine_and_cosine_are_right_to_the_last_bits_and_zero_is_exact(void)
         CHECK(fabsl((long double)found.sine - sinl((long double)angle_rad)) < 1.7e-16L);
         CHECK(fabsl((long double)found.cosine - cosl((long double)angle_rad)) < 1.7e-16L);
     }
-    found = angle_direction(PI); /* the rest of pi that a double does not hold */
+    found = angle_direction(PI); /* the part of pi that a double cannot hold */
     CHECK(fabs(found.sine / 1.2246467991473532e-16 - 1.0) < 1e-9 && found.cosine == -1.0);
 }
 
-/* A replay needs the same bits on every machine, so they are never others. */
+/* A replay needs the same bits on every machine: they never change. */
 static void sine_and_cosine_have_the_same_bits_everywhere(void)
 {
     uint64_t digest = UINT64_C(14695981039346656037);
@@ -110,14 +110,14 @@ static void the_integral_is_held_where_it_would_drive_the_torque_beyond_its_limi
     speed_loop_state state = {.begun = 1, .integral_u = 1.0};
     CHECK(loop_step(&state, &loop, 10.0, 0.0, 0.01) == 3.0 && state.integral_u == 1.0);
     CHECK(loop_step(&state, &loop, -20.0, 0.0, 0.01) == -3.0 && state.integral_u == 1.0);
-    state.integral_u = 3.0; /* back from the limit it comes at once: the error is against what was
-                               wanted */
+    state.integral_u = 3.0; /* the integral returns to the limit at once, because the error is
+                               relative to the unlimited output */
     const speed_loop_config weak = torque_loop(0.0, 4.0, 2.0);
     CHECK(loop_step(&state, &weak, -1.0, 0.0, 0.1) == 2.0 && state.integral_u == 2.0);
-    state.integral_u = -3.0; /* so from the other side */
+    state.integral_u = -3.0; /* the same from the other side */
     CHECK(loop_step(&state, &weak, 1.0, 0.0, 0.1) == -2.0 && state.integral_u == -2.0);
     const speed_loop_config eager = torque_loop(0.02, 0.01, 0.001);
-    state.integral_u = 0.0005; /* small products are products: away from rest it is held, too */
+    state.integral_u = 0.0005; /* small products do not become zero: the integral is held, too */
     CHECK(loop_step(&state, &eager, 0.1, 0.0, 0.01) == 0.001 && state.integral_u == 0.0005);
 }
 
@@ -145,7 +145,7 @@ static const core_config FOUR_WHEELS = {
               {.row = {1.0, 0.0, -0.25}, .wheel_radius_m = 0.1},
               {.row = {1.0, 0.0, 0.25}, .wheel_radius_m = 0.2}}};
 
-/* The motion of the wheels is unknown meanwhile: up to their set-points, in either direction. */
+/* The motion of the wheels is unknown: it may be up to their set-points, in both directions. */
 static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(void)
 {
     static odometry_state state;
@@ -160,14 +160,15 @@ static void a_blind_base_is_as_uncertain_as_its_set_points_may_have_carried_it(v
                                                {.velocity_rad_s = -1.0},
                                                {.velocity_rad_s = -1.0},
                                                {.velocity_rad_s = 2.0}};
-    /* the fastest 0.04 m: 0.04 m straight on, or 0.16 rad */
+    /* the fastest wheel moves 0.04 m: 0.04 m straight on, or a turn of 0.16 rad */
     odometry_drift(&state, &FOUR_WHEELS, wheels, 0.1);
     CHECK(fabs(state.pose_covariance[0] - (0.01 + 0.04 * (0.2 + 0.04))) < 1e-15);
     CHECK(fabs(state.pose_covariance[3] - (0.04 + 0.04 * (0.4 + 0.04))) < 1e-15);
     CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.16 * (0.6 + 0.16))) < 1e-15);
     CHECK(fabs(state.twist_covariance[0] - (1e-5 + 0.09)) < 1e-15 &&
           fabs(state.twist_covariance[2] - (2e-5 + 0.25)) < 1e-15);
-    state.twist_covariance[0] = state.twist_covariance[2] = 7.0; /* it was more uncertain before */
+    state.twist_covariance[0] = state.twist_covariance[2] = 7.0; /* more uncertain than the new
+                                                                    value */
     odometry_drift(&state, &FOUR_WHEELS, (const joint_setpoint[JOINTS_MAX]){{0}}, 0.1);
     CHECK(state.twist_covariance[0] == 7.0 && state.twist_covariance[2] == 7.0);
     CHECK(fabs(state.pose_covariance[5] - (0.09 + 0.16 * (0.6 + 0.16))) < 1e-15);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Wheels that a torque turns: what the core does with their speed loops, with hostile numbers
- * among them. */
+ * Wheels whose drives take a torque: how the core uses their speed loops, also with hostile
+ * numbers. */
 #include "check.h"
 #include "core.h"
 #include "good_config.h"
@@ -105,7 +105,7 @@ static void an_impossibly_fast_wheel_loses_its_power(void)
     CHECK(b.out.joint[0].torque_n_m == 0.0);
 }
 
-/* The integral is from before the loss: it must not push the wheel when its feedback is back. */
+/* The integral is from before the loss: it must not push the wheel when its feedback returns. */
 static void a_wheel_without_feedback_loses_its_integral_while_it_holds(void)
 {
     base b;
@@ -120,7 +120,7 @@ static void a_wheel_without_feedback_loses_its_integral_while_it_holds(void)
         b.input.now_ns += TICK_NS;
         b.input.control.heartbeat_ns = b.input.command.stamp_ns = b.input.now_ns;
         b.input.command.expires_ns = b.input.now_ns + 1000000000;
-        b.input.feedback[1].stamp_ns = b.input.now_ns; /* the other one reports */
+        b.input.feedback[1].stamp_ns = b.input.now_ns; /* the other wheel reports */
         CHECK(b.state.speed_loop[0].integral_u > 0.0);
         core_step(&b.state, &b.input, 1e-3, &b.out, &b.shown);
     }

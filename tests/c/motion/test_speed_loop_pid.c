@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * The speed loop by its exact numbers: feed-forward, derivative, limits, and changes without a
+ * The speed loop with its exact numbers: feed-forward, derivative, limits, and changes without a
  * step of the output. */
 #include "check.h"
 #include "torque_loop.h"
@@ -41,7 +41,8 @@ static void feed_forward_is_friction_in_the_direction_of_the_set_point_and_inert
         CHECK(near(loop_step(&state, &config, sign * 2.0, 0.0, DT_S), steady));
         CHECK(near(loop_step(&state, &config, sign * 1.0, 1.0, DT_S),
                    sign * (0.05 + 0.04 - 0.001 / DT_S)));
-        CHECK(loop_step(&state, &config, 0.0, 1.0, DT_S) == 0.0); /* at once: no kick */
+        CHECK(loop_step(&state, &config, 0.0, 1.0, DT_S) == 0.0); /* at once, without a kick of the
+                                                                     derivative */
     }
 }
 
@@ -51,11 +52,11 @@ static void the_derivative_is_of_the_filtered_measure_alone(void)
     config.gains.derivative_u_s2_per_rad = 0.5;
     config.filter_s = 0.03;
     speed_loop_state state = {.begun = 1};
-    CHECK(loop_step(&state, &config, 5.0, 0.0, DT_S) == 0.0); /* of a set-point: nothing */
+    CHECK(loop_step(&state, &config, 5.0, 0.0, DT_S) == 0.0); /* a new set-point has no effect */
     CHECK(near(loop_step(&state, &config, 5.0, 1.0, DT_S), -0.5 * 1.0 / 0.04));
     CHECK(near(state.slow_rad_s, 0.25));
     CHECK(near(loop_step(&state, &config, 5.0, 1.0, DT_S), -0.5 * 0.75 / 0.04));
-    speed_loop_state first = {0}; /* that begins at a wheel that turns: nothing either */
+    speed_loop_state first = {0}; /* nor has a loop that begins at a turning wheel */
     CHECK(loop_step(&first, &config, 5.0, 3.0, DT_S) == 0.0 && near(first.slow_rad_s, 3.0));
 }
 
@@ -78,7 +79,7 @@ static void the_loop_differs_from_its_feed_forward_by_a_bounded_amount(void)
 static void the_part_that_an_output_limit_cuts_off_is_not_integrated(void)
 {
     speed_loop_config config = duty_loop();
-    config.output_min_u = 0.0; /* one that cannot reverse */
+    config.output_min_u = 0.0; /* an output that cannot reverse */
     config.output_max_u = 0.3;
     speed_loop_state state = {.begun = 1};
     for (int i = 0; i < 1000; i++) {
@@ -90,24 +91,24 @@ static void the_part_that_an_output_limit_cuts_off_is_not_integrated(void)
     }
     double held = state.integral_u;
     CHECK(state.output_u < 0.003 && held < -0.16 && held > -0.18);
-    /* and it comes back at once */
+    /* the output returns at once */
     CHECK(loop_step(&state, &config, 5.0, 4.9, DT_S) > 0.0 && state.integral_u > held);
 }
 
 static void the_cut_off_part_holds_the_integral_and_not_the_output(void)
 {
     speed_loop_config config = duty_loop();
-    /* forward, far too fast: the correction is at its limit */
+    /* forward, and far too fast: the correction is at its limit */
     speed_loop_state state = {.begun = 1};
     for (int i = 0; i < 10; i++) {
         CHECK(near(loop_step(&state, &config, 8.0, 28.0, DT_S), 0.37 - 0.25) &&
               state.integral_u == 0.0);
     }
     config.output_max_u = 0.3;
-    state = (speed_loop_state){.begun = 1}; /* the feed-forward alone is beyond the limit, and the
-                                               wheel too fast */
+    state = (speed_loop_state){.begun = 1}; /* the feed-forward alone exceeds the limit, and the
+                                               wheel is too fast */
     CHECK(loop_step(&state, &config, 10.0, 11.0, DT_S) == 0.3 && near(state.integral_u, -0.001));
-    /* what is to go goes, also while the output is limited */
+    /* an integral that fades does so also while the output is limited */
     config.gains.integral_u_per_rad = 0.0;
     state = (speed_loop_state){.begun = 1, .integral_u = 0.2};
     CHECK(loop_step(&state, &config, 10.0, 1.0, DT_S) == 0.3 && near(state.integral_u, 0.196));
@@ -128,7 +129,7 @@ static void a_change_of_gains_continues_from_the_last_output(void)
     state.begun = 0;
     CHECK(near(loop_step(&state, &config, 5.0, 4.0, DT_S), before + 0.2 * 1.0 * DT_S));
     before = state.output_u;
-    config.gains.integral_u_per_rad = 0.0; /* without it, what is summed up goes, not in one step */
+    config.gains.integral_u_per_rad = 0.0; /* without it the integral fades, not in one step */
     state.begun = 0;
     CHECK(fabs(loop_step(&state, &config, 5.0, 4.0, DT_S) - before) < 0.01);
     for (int i = 0; i < 1000; i++) {
@@ -144,12 +145,12 @@ static void a_loop_that_starts_at_a_turning_wheel_starts_without_output(void)
     speed_loop_config config = torque_loop(1.0, 4.0, 8.0);
     speed_loop_state state = {0};
     CHECK(near(loop_step(&state, &config, 0.0, 3.0, DT_S), -4.0 * 3.0 * DT_S));
-    /* nothing is known of how the set-point has risen */
+    /* the earlier set-points are unknown */
     config.gains.acceleration_u_s2_per_rad = 0.5;
     speed_loop_state rising = {.output_u = 0.5};
     loop_step(&rising, &config, 2.0, 1.0, DT_S);
     CHECK(near(rising.integral_u, 0.5 - 1.0 + 4.0 * 1.0 * DT_S));
-    speed_loop_state fast = {0}; /* its integral has a limit, too */
+    speed_loop_state fast = {0}; /* the integral is limited, too */
     CHECK(near(loop_step(&fast, &config, 0.0, 10.0, DT_S), -2.4) && near(fast.integral_u, 7.6));
 }
 
@@ -157,13 +158,13 @@ static void at_rest_a_duty_is_zero_and_a_torque_where_friction_holds_the_wheel(v
 {
     speed_loop_config duty = duty_loop(), torque = torque_loop(1.0, 4.0, 8.0);
     speed_loop_state state = {.begun = 1, .integral_u = 0.2, .output_u = 0.2};
-    /* not slower than rest */
+    /* not slower than the speed of rest */
     CHECK(loop_step(&state, &duty, 0.0, 0.05, DT_S) < 0.2 && state.integral_u != 0.0);
     CHECK(loop_step(&state, &duty, 1e-9, 0.0, DT_S) != 0.0);
     CHECK(loop_step(&state, &duty, 0.0, -0.049, DT_S) == 0.0 && state.integral_u == 0.0 &&
           state.output_u == 0.0);
     state.integral_u = 0.2;
-    CHECK(loop_step(&state, &torque, 0.0, 0.0, DT_S) == 0.2); /* a slope */
+    CHECK(loop_step(&state, &torque, 0.0, 0.0, DT_S) == 0.2); /* holds the wheel on a slope */
     torque.gains.static_u = 0.2;
     CHECK(loop_step(&state, &torque, 0.0, 0.0, DT_S) == 0.2);
     torque.gains.static_u = 0.21;

@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_steer: which curves a steering reaches, where its wheels point, and how fast they roll,
- * in numbers. */
+ * test_steer: which curves a steered base reaches, in which direction its wheels point, and how
+ * fast they roll. */
 #include "steer.h"
 #include "steered_bases.h"
 
-/* The range of a base's steering joint, 1 or 2. */
+/* Changes the range of joint 1, which steers. */
 static core_config with_range(core_config base, double least_rad, double most_rad)
 {
     position_config *range = &base.joint[1].position;
@@ -35,7 +35,7 @@ static void a_wheel_in_front_or_behind_reaches_the_curves_of_its_circle(void)
         steer = begun(&base);
         CHECK(close_to(steer.curvature_min_per_m, x_m > 0.0 ? tan(-0.1) / x_m : tan(1.0) / x_m));
         CHECK(close_to(steer.curvature_max_per_m, x_m > 0.0 ? tan(1.0) / x_m : tan(-0.1) / x_m));
-        /* turned across, nothing drives it on the spot: 80 degrees are its most */
+        /* a wheel turned across cannot be driven on the spot: the limit is 80 degrees */
         base = with_range(base, -1.6, 1.6);
         steer = begun(&base);
         CHECK(close_to(steer.curvature_max_per_m, 5.67 / fabs(x_m)) &&
@@ -51,17 +51,17 @@ static void a_wheel_beside_the_middle_reaches_other_curves_to_each_side(void)
     steer_state steer = begun(&base);
     CHECK(close_to(steer.curvature_max_per_m, sin(0.6) / (0.3 * cos(0.6) + 0.2 * sin(0.6))));
     CHECK(close_to(steer.curvature_min_per_m, -sin(0.6) / (0.3 * cos(0.6) - 0.2 * sin(0.6))));
-    base.module[0].angle_rad = 0.1; /* its joint's 0 is not straight ahead */
+    base.module[0].angle_rad = 0.1; /* an angle of 0 of its joint is not straight ahead */
     steer = begun(&base);
     CHECK(close_to(steer.curvature_max_per_m, sin(0.7) / (0.3 * cos(0.7) + 0.2 * sin(0.7))));
     CHECK(close_to(steer.curvature_min_per_m, -sin(0.5) / (0.3 * cos(0.5) - 0.2 * sin(0.5))));
     base.module[0].angle_rad = 0.0;
-    base = with_range(base, -0.6, 0.0); /* it only steers to the right */
+    base = with_range(base, -0.6, 0.0); /* it steers to the right only */
     steer = begun(&base);
     CHECK(steer.curvature_max_per_m == 0.0 && steer.curvature_min_per_m < -1.0);
 }
 
-/* Turned beyond its motion on the spot, it reaches every curve to that side. */
+/* A wheel that can turn beyond its direction on the spot reaches every curve to that side. */
 static void a_wheel_far_beside_the_middle_reaches_the_spot_to_one_side(void)
 {
     static const struct {
@@ -124,9 +124,9 @@ static void a_wheel_that_turns_across_turns_the_base_on_the_spot_where_something
         CHECK(steer.curvature_min_per_m < -1e-3 && steer.curvature_max_per_m > 1e-3);
     }
     core_config base = tricycle();
-    base.module[0].x_m = 0.0; /* in the middle it moves nothing */
+    base.module[0].x_m = 0.0; /* in the middle it turns nothing */
     CHECK(begun(&base).turns_on_spot == 0);
-    base = tricycle(); /* the joints swapped */
+    base = tricycle(); /* with swapped joints */
     base.joint[0] = tricycle().joint[1], base.joint[1] = rolling();
     base.module[0].steering = 1, base.module[0].traction = 2;
     CHECK(begun(&base).turns_on_spot == 1);
@@ -160,7 +160,7 @@ static void other_bases_turn_on_the_spot(void)
     CHECK(!kinematics_spins(&base));
 }
 
-/* So fast that its profile lags by 0.04 rad, and no faster than 0.8 of its speed. */
+/* The pace is so high that the profile lags by 0.04 rad, and at most 0.8 of the joint's speed. */
 static void the_slowest_steering_joint_sets_the_pace(void)
 {
     for (int slow = 0; slow <= 2; slow += 2) {
@@ -190,7 +190,7 @@ static void a_goal_is_brought_to_what_the_steering_and_the_limits_allow(void)
         {0.0, -0.5, 0, 0.0, 0.0, REASON_TURN_IMPOSSIBLE},
         {0.0, 1.0, 1, 0.0, 1.0, 0},
         {0.0, -5.0, 1, 0.0, -2.0, REASON_ANGULAR_VELOCITY},
-        /* curvatures of -1.5 to 1 */
+        /* curvatures are limited to -1.5 and 1 */
         {0.5, 0.6, 0, 0.5, 0.5, REASON_CURVATURE},
         {0.5, -0.9, 0, 0.5, -0.75, REASON_CURVATURE},
         {-0.5, 0.9, 0, -0.5, 0.75, REASON_CURVATURE},
@@ -199,7 +199,7 @@ static void a_goal_is_brought_to_what_the_steering_and_the_limits_allow(void)
         {1.0, 1.2, 0, 1.0, 1.0, REASON_CURVATURE},
         {1.0, 0.3, 0, 1.0, 0.3, 0},
         {0.1, 0.03, 0, 0.1, 0.03, 0},
-        /* limits of 1 m/s and 2 rad/s: both by one factor */
+        /* limits are 1 m/s and 2 rad/s: both are reduced by the same factor */
         {2.0, 1.0, 0, 1.0, 0.5, REASON_LINEAR_VELOCITY},
         {-4.0, 1.0, 0, -1.0, 0.25, REASON_LINEAR_VELOCITY},
         {2.0, 9.0, 0, 1.0, 1.0, REASON_LINEAR_VELOCITY | REASON_CURVATURE},
@@ -216,7 +216,7 @@ static void a_goal_is_brought_to_what_the_steering_and_the_limits_allow(void)
         CHECK(steer_within_reach(&steer, &limits, wanted, goal) == CASES[i].reasons);
         CHECK(close_to(goal[0], CASES[i].goal_m_s) && close_to(goal[1], CASES[i].goal_rad_s));
     }
-    /* the turn is the tighter limit: 0.5 m/s in a circle of 0.1 m */
+    /* the limit of the turn is tighter: 0.5 m/s in a circle of 0.1 m */
     steer_state steer = {.curvature_min_per_m = -10.0, .curvature_max_per_m = 10.0};
     double goal[AXES];
     CHECK(steer_within_reach(&steer, &limits, (const double[AXES]){0.5, 5.0}, goal) ==
@@ -242,7 +242,8 @@ static void a_wheel_points_along_its_motion_or_against_it_whichever_is_nearer(vo
         {0.5, 0.3, -3.2, 3.2, 0.0, 0.2, true},
         {2.0, 0.0, -3.2, 3.2, 0.0, 2.0 - M_PI, true},
         {2.0, 0.0, -3.2, 3.2, 2.0, 2.0, true},
-        {0.5, 0.0, -3.2, 3.2, 3.0, 0.5, true}, /* half a turn on is beyond its range */
+        {0.5, 0.0, -3.2, 3.2, 3.0, 0.5, true}, /* the nearer one, half a turn further, is out of
+                                                  range */
         {0.5, 0.0, -3.2, 3.2, -2.0, 0.5 - M_PI, true},
         {0.5, 0.0, -3.2, 3.2, 20.0, 0.5, true},
         {0.5, 0.0, -3.2, 3.2, -20.0, 0.5 - M_PI, true},
@@ -255,7 +256,7 @@ static void a_wheel_points_along_its_motion_or_against_it_whichever_is_nearer(vo
         {0.9, 0.0, -0.6, 0.6, 0.0, 0.6, false},
         {-0.9, 0.0, -0.6, 0.6, 0.0, -0.6, false},
         {1.5, 0.0, -0.6, 0.6, 0.0, 0.6, false},
-        {1.6, 0.0, -0.6, 0.6, 0.0, -0.6, false}, /* backward this end is nearer */
+        {1.6, 0.0, -0.6, 0.6, 0.0, -0.6, false}, /* for driving backward this end is nearer */
         {3.0, 0.0, -0.6, 0.6, 0.0, 3.0 - M_PI, true},
         {0.5, 0.0, -0.2, 0.3, 0.0, 0.3, false},
         {-0.5, 0.0, -0.2, 0.3, 0.0, -0.2, false},
@@ -279,7 +280,7 @@ static void a_wheel_points_along_its_motion_or_against_it_whichever_is_nearer(vo
         for (int step = 0; step < 1000; step++) {
             steer_joints(&steer, &base, motion, goal, 1e-3);
         }
-        /* the others aim again while they turn */
+        /* wheels with a longer move choose another aim during it */
         if (fabs(CASES[i].near_rad - CASES[i].aim_rad) < M_PI) {
             CHECK(close_to(steer.profile[1].position_rad, CASES[i].aim_rad));
         }
@@ -304,7 +305,7 @@ static void a_wheel_rolls_by_the_speed_of_the_floor_along_it(void)
     angle_rad[0] = -3.0;
     steer_wheels(&base, (const double[AXES]){0.0}, angle_rad, wheel_rad_s);
     CHECK(wheel_rad_s[1] == 0.0 && !signbit(wheel_rad_s[1]));
-    base = tricycle(); /* fixed wheels that roll freely are no joints */
+    base = tricycle(); /* fixed wheels that roll freely have no joints */
     steer_wheels(&base, twist, angle_rad, wheel_rad_s);
     CHECK(wheel_rad_s[1] == 0.0);
 }
@@ -319,7 +320,7 @@ static void pointing_as_they_should_wheels_roll_as_fast_as_the_floor(void)
     steer_speeds(&steer, &base, twist, wheel_rad_s);
     CHECK(close_to(wheel_rad_s[1], -first_m_s / 0.05) &&
           close_to(wheel_rad_s[3], -second_m_s / 0.05));
-    steer.profile[0].position_rad = 2.4; /* the nearer one is forward now */
+    steer.profile[0].position_rad = 2.4; /* now the nearer direction is forward */
     steer_speeds(&steer, &base, twist, wheel_rad_s);
     CHECK(close_to(wheel_rad_s[1], first_m_s / 0.05) &&
           close_to(wheel_rad_s[3], -second_m_s / 0.05));

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_steer_steps: what a tick does with wheels that are steered: the base waits for them, and
- * they follow it. */
+ * test_steer_steps: the steered wheels in a tick: the base waits for them, and they follow its
+ * motion. */
 #include "steer.h"
 #include "steered_bases.h"
 
@@ -13,7 +13,7 @@ static steer_state begun(const core_config *base)
     return steer;
 }
 
-/* The part of a goal that is left when the base moves like `from` with these wheel angles. */
+/* The part of a goal that is left when the base moves by `from_u_s` with these wheel angles. */
 typedef struct {
     double goal_u_s[AXES];
     double rate_max_s;
@@ -37,7 +37,7 @@ static slowed slow_down(steer_state *steer, const core_config *base, const doubl
 
 static const double STANDS[AXES] = {0.0};
 
-/* --- is it known where they are? */
+/* --- unknown angles */
 static void a_joint_whose_angle_is_not_known_is_reported_while_it_sends_feedback(void)
 {
     static const struct {
@@ -72,7 +72,7 @@ static void a_joint_whose_angle_is_not_known_is_reported_while_it_sends_feedback
                         (const uint32_t[JOINTS_MAX]){0},
                         (const double[JOINTS_MAX]){0.0, 0.0, NAN, NAN}) == 0xC);
     base = swerve();
-    base.joint[4] = turning_within(1.0); /* no joint of it */
+    base.joint[4] = turning_within(1.0); /* beyond the joints of the base */
     CHECK(steer_unknown(&base, (const joint_feedback[JOINTS_MAX]){{0}},
                         (const uint32_t[JOINTS_MAX]){0},
                         (const double[JOINTS_MAX]){NAN, NAN, NAN, NAN, NAN}) == 0x5);
@@ -99,7 +99,7 @@ static void a_base_slows_down_while_a_wheel_points_in_another_direction(void)
         double off_rad = CASES[i / 2].off_rad, share = CASES[i / 2].share,
                angle_rad[JOINTS_MAX] = {0.0, 0.2 + off_rad};
         const double there[AXES] = {0.5, 0.5 * tan(0.2) / WHEELBASE_M}, straight[AXES] = {0.4, 0.0};
-        bool moves = i % 2 == 1; /* at rest the goal counts, else the motion */
+        bool moves = i % 2 == 1; /* the goal counts at rest, else the motion */
         slowed left =
             slow_down(&steer, &base, moves ? there : STANDS, moves ? straight : there, angle_rad);
         const double *goal = moves ? straight : there;
@@ -114,7 +114,8 @@ static void a_base_slows_down_while_a_wheel_points_in_another_direction(void)
     }
 }
 
-/* The one that is farthest off counts, and one that may still come from anywhere is farther. */
+/* The wheel that is farthest from its direction counts. A wheel whose angle is uncertain counts as
+ * farther than any. */
 static void the_worst_wheel_counts(void)
 {
     core_config base = swerve();
@@ -138,8 +139,8 @@ static void the_worst_wheel_counts(void)
     }
 }
 
-/* In a turn about a wheel, that wheel may point anywhere: below a millionth of the fastest speed
- * it counts as standing. */
+/* In a turn about a wheel, that wheel may point anywhere. Below a millionth of the fastest wheel's
+ * speed it counts as standing. */
 static void a_wheel_that_stands_points_anywhere(void)
 {
     core_config base = swerve();
@@ -149,7 +150,7 @@ static void a_wheel_that_stands_points_anywhere(void)
             double part = i == 0 ? 0.5e-6 : 2e-6;
             const wheel_module *at = &base.module[about];
             const double goal[AXES] = {0.01 * (at->y_m + part * apart_m), 0.01,
-                                       -0.01 * at->x_m}; /* it rolls straight on, if at all */
+                                       -0.01 * at->x_m}; /* this wheel rolls straight, if at all */
             double angle_rad[JOINTS_MAX];
             steer_state steer = begun(&base);
             for (int k = 0; k < 2; k++) {
@@ -162,7 +163,7 @@ static void a_wheel_that_stands_points_anywhere(void)
             angle_rad[2 * about] += 0.7;
             slow_down(&steer, &base, STANDS, goal, angle_rad);
             CHECK(fabs(steer.misaligned_rad - (i == 0 ? 0.0 : 0.7)) < 1e-5);
-            /* it is turned only when it moves */
+            /* the wheel is steered only if it moves */
             steer_joints(&steer, &base, goal, STANDS, DT_S);
             CHECK((steer.profile[2 * about].position_rad == 0.0) ==
                   (i == 0 || at->angle_rad == 0.0));
@@ -183,23 +184,22 @@ static void before_a_goal_that_turns_a_wheel_around_the_base_comes_to_rest(void)
         {&car, {-0.5, 0.0}, {0.1, 0.0}, true},
         {&car, {0.2, 0.0}, {0.25, 0.0}, false},
         {&car, {-0.2, 0.0}, {-0.25, 0.0}, false},
-        {&car, {1.0, 6.0}, {1.0, -6.0}, false}, /* while it drives, the wheel in front turns from
-                                                   side to side */
+        {&car, {1.0, 6.0}, {1.0, -6.0}, false}, /* the front wheel turns from side to side without a
+                                                   stop */
         {&car, {0.5, 6.0}, {0.2, -6.0}, false},
         {&car, {0.1, 3.0}, {0.1, -3.0}, false},
-        {&car, {0.5, 0.5}, {0.0, -1.0}, true}, /* without speed no wheel has to turn from side to
-                                                  side */
+        {&car, {0.5, 0.5}, {0.0, -1.0}, true}, /* without speed, the wheel would have to reverse */
         {&car, {0.5, 0.0}, {0.0, 1.0}, false},
         {&car, {0.0, 1.0}, {0.0, -1.0}, true},
         {&car, {0.0, 1.0}, {0.0, 0.2}, false},
-        {&three, {0.0, 1.0}, {1.0, 0.5}, false}, /* a fixed wheel turns around, which it may */
+        {&three, {0.0, 1.0}, {1.0, 0.5}, false}, /* a fixed wheel reverses, which it may */
         {&free, {1.0, 0.0, 0.0}, {0.0, 0.0, 1.0}, false},
         {&free, {1.0, 0.0, 0.0}, {-0.01, 0.0, 1.0}, true},
         {&free, {1.0, 0.0, 0.0}, {0.01, 0.0, 1.0}, false},
         {&free, {0.0, 0.0, 1.0}, {1.0, 0.0, -0.01}, true},
         {&free, {0.0, 0.0, 1.0}, {1.0, 0.0, 0.01}, false},
-        {&free, {0.5, 0.0, 0.0}, {0.0, 1.0, 0.05}, true},   /* the one to the left goes backward */
-        {&free, {0.5, 0.0, 0.0}, {0.0, -1.0, -0.05}, true}, /* the one to the right */
+        {&free, {0.5, 0.0, 0.0}, {0.0, 1.0, 0.05}, true},   /* the left wheel would reverse */
+        {&free, {0.5, 0.0, 0.0}, {0.0, -1.0, -0.05}, true}, /* the right wheel would reverse */
         {&free, {1.0, 0.0, 0.0}, {0.5, 1.0, 0.0}, false},
     };
     for (int i = 0; i < COUNT_OF(CASES); i++) {
@@ -210,7 +210,7 @@ static void before_a_goal_that_turns_a_wheel_around_the_base_comes_to_rest(void)
             const wheel_module *at = &base->module[k];
             double x = CASES[i].from[0] - at->y_m * CASES[i].from[1],
                    y = CASES[i].from[2] + at->x_m * CASES[i].from[1];
-            if (at->steering != 0) { /* as it has to */
+            if (at->steering != 0) { /* points as the motion requires */
                 angle_rad[at->steering - 1] = steer.profile[at->steering - 1].position_rad =
                     atan2(y, x) - at->angle_rad;
             }
@@ -233,11 +233,11 @@ static void the_ramp_is_paced_by_the_wheel_whose_direction_changes_fastest(void)
         {{0.5, 0.0, 0.0}, {2.0, 0.0, 0.25}, 2.0},
         {{0.3, 0.0, 0.4}, {0.4, 0.0, 0.3}, 0.25 / 0.07},
         {{0.5, 0.0, 0.0}, {0.9, 0.0, 0.0}, INFINITY},
-        {{1.0, 0.0, 0.0}, {2.0, 0.0, 1e-6}, INFINITY}, /* below rounding */
+        {{1.0, 0.0, 0.0}, {2.0, 0.0, 1e-6}, INFINITY}, /* below the rounding */
         {{1.0, 0.0, 0.0}, {2.0, 0.0, 4e-6}, 1.0 / 4e-6},
-        {{0.5, 0.0, 0.0}, {0.5, 0.5, 0.0}, 0.25 / 0.075}, /* the one at x = 0.3 */
+        {{0.5, 0.0, 0.0}, {0.5, 0.5, 0.0}, 0.25 / 0.075}, /* the wheel at x = 0.3 */
         {{0.5, 0.0, 0.0}, {0.5, 0.5, 0.16}, 0.25 / 0.155},
-        {{0.5, 0.0, 0.0}, {0.5, 0.5, -0.1}, 0.25 / 0.1}, /* the one at x = -0.2 */
+        {{0.5, 0.0, 0.0}, {0.5, 0.5, -0.1}, 0.25 / 0.1}, /* the wheel at x = -0.2 */
     };
     core_config base = swerve();
     for (int i = 0; i < COUNT_OF(CASES); i++) {
@@ -266,7 +266,7 @@ static void a_step_that_is_faster_is_shortened_and_stays_straight(void)
                        from[i].velocity_u_s + 0.1 * (goal[i] - from[i].velocity_u_s)));
         CHECK(close_to(axis[i].acceleration_u_s2, 10.0 * (goal[i] - from[i].velocity_u_s)));
     }
-    for (int a = 0; a < AXES; a++) { /* also of one axis alone */
+    for (int a = 0; a < AXES; a++) { /* also with a single axis */
         limit_state alone[AXES] = {{0.0, 0.0}}, still[AXES] = {{0.0, 0.0}};
         double goal_u_s[AXES] = {0.0};
         alone[a].velocity_u_s = 0.5, goal_u_s[a] = 1.0;
@@ -279,7 +279,7 @@ static void a_step_that_is_faster_is_shortened_and_stays_straight(void)
         CHECK(steer_pace(from, axis, goal, FAST_ENOUGH_S[i], DT_S) == 0 &&
               memcmp(axis, half, sizeof axis) == 0);
     }
-    /* exactly as fast, and without anything to do */
+    /* exactly as fast as allowed, and a base at rest */
     const limit_state quarter[AXES] = {{0.25, 1.0}, {0.0, 0.0}, {-0.25, -1.0}},
                       rest[AXES] = {{0.0, 0.0}};
     memcpy(axis, quarter, sizeof axis);
@@ -290,7 +290,7 @@ static void a_step_that_is_faster_is_shortened_and_stays_straight(void)
           memcmp(axis, rest, sizeof axis) == 0);
 }
 
-/* --- after it */
+/* --- after the ramp */
 static position_profile stepped(position_profile profile, const core_config *base, uint32_t j,
                                 double goal_rad)
 {
@@ -318,7 +318,7 @@ static void wheels_follow_the_motion_at_rest_the_goal_and_hold_without_either(vo
                 at->angle_rad;
             aim_rad -= rint(aim_rad / M_PI) * M_PI;
             if (fabs(fabs(aim_rad) - 0.5 * M_PI) < 1e-6) {
-                continue; /* to either side it is as far */
+                continue; /* both directions are equally near */
             }
             steer_state steer = begun(&base);
             steer_joints(&steer, &base, ONE[i], other, DT_S);
@@ -340,12 +340,12 @@ static void wheels_follow_the_motion_at_rest_the_goal_and_hold_without_either(vo
     }
     CHECK(steer.profile[1].position_rad == 0.0 && steer.profile[3].position_rad == 0.0);
     steer.profile[0] = (position_profile){0.4, 1.0};
-    steer_joints(&steer, &base, ONE[0], ONE[0], 0.0); /* no time, no step */
+    steer_joints(&steer, &base, ONE[0], ONE[0], 0.0); /* without time there is no step */
     CHECK(steer.profile[0].position_rad == 0.4 && steer.profile[0].velocity_rad_s == 1.0);
 }
 
-/* One that measures nothing may be anywhere when it gets its power: it gets the time of its
- * longest move. */
+/* A joint without a measurement may be anywhere when it gets its power. It counts as certain after
+ * the time of its longest move. */
 static void a_joint_without_measurement_is_certain_after_its_longest_move(void)
 {
     core_config base = bicycle();
@@ -390,8 +390,8 @@ static void without_power_a_joint_is_where_it_is(void)
         CHECK(steer.profile[0].position_rad == 0.4 && steer.profile[0].velocity_rad_s == 1.0);
         CHECK(steer.enabled == 0 && steer.misaligned_rad == 0.0);
     }
-    base = swerve();                     /* and the first joint is where it is, too */
-    base.joint[4] = turning_within(1.0); /* no joint of it */
+    base = swerve();                     /* also for the first joint */
+    base.joint[4] = turning_within(1.0); /* beyond the joints */
     steer_state steer = begun(&base);
     steer_released(&steer, &base, (const double[JOINTS_MAX]){0.5, 0.1, 0.6, 0.1, 0.7});
     CHECK(steer.profile[0].position_rad == 0.5 && steer.profile[2].position_rad == 0.6);
@@ -403,7 +403,7 @@ static void set_points_of_joints_that_take_positions_are_those_of_their_profiles
     static const double SPEEDS_RAD_S[] = {0.0, 0.1, 1.0, -0.3};
     core_config base = ackermann(WHEELBASE_M);
     base.joint[3].position.reference = REFERENCE_ESTIMATED;
-    base.joint[4] = turning_within(1.0); /* no joint of it */
+    base.joint[4] = turning_within(1.0); /* beyond the joints of the base */
     for (int i = 0; i < COUNT_OF(SPEEDS_RAD_S) * 2; i++) {
         steer_state steer = begun(&base);
         joint_setpoint joint[JOINTS_MAX];
@@ -413,7 +413,7 @@ static void set_points_of_joints_that_take_positions_are_those_of_their_profiles
             joint[j] = (joint_setpoint){5.0, 0.5, 0.25};
         }
         steer.profile[2].position_rad = 0.2, steer.profile[3].position_rad = 0.3;
-        steer.profile[0].velocity_rad_s = 9.0; /* which takes none */
+        steer.profile[0].velocity_rad_s = 9.0; /* this joint takes no positions */
         steer.profile[moves].velocity_rad_s = speed_rad_s;
         CHECK(steer_setpoints(&steer, &base, joint, angle_rad) == (speed_rad_s != 0.0));
         CHECK(joint[moves].velocity_rad_s == speed_rad_s && joint[5 - moves].velocity_rad_s == 0.0);
@@ -431,7 +431,7 @@ static void known_positions_count_while_there_is_power(void)
     core_config base = ackermann(WHEELBASE_M);
     steer_state steer = begun(&base);
     double position_rad[JOINTS_MAX] = {[4] = 9.0};
-    base.joint[4] = turning_within(1.0); /* no joint of it */
+    base.joint[4] = turning_within(1.0); /* beyond the joints of the base */
     for (int j = 0; j < 4; j++) {
         steer.profile[j].position_rad = 0.1 + j, position_rad[j] = 9.0;
     }

@@ -28,10 +28,10 @@ static void a_wheel_beyond_its_limit_is_brought_to_it(void)
     CHECK(factor_of(4.0, -1.0, 2.0) == 0.5 && factor_of(-4.0, -1.0, 2.0) == 0.25);
     CHECK(factor_of(0.5, -1.0, 0.25) == 0.5 && factor_of(-0.5, -0.25, 9.0) == 0.5 &&
           factor_of(0.05, -9.0, 0.025) == 0.5);
-    /* it cannot reverse */
+    /* the wheel cannot reverse */
     CHECK(factor_of(-1.0, 0.0, 2.0) == 0.0 && !signbit(factor_of(-1.0, 0.0, 2.0)));
     uint32_t rounded_up = 0;
-    /* never beyond by a rounding, and no less than that requires */
+    /* rounding never exceeds the limit, and the factor is not smaller than needed for that */
     for (int i = 1; i < 20000; i++) {
         double want_rad_s = 0.3 + i * 1.37e-3, quotient = 0.3 / want_rad_s,
                factor = factor_of(want_rad_s, -1.0, 0.3);
@@ -57,11 +57,11 @@ static void all_wheels_take_the_factor_of_the_worst(void)
     CHECK(saturate_factor((const double[]){2.0, 2.0, 4.0}, joints, 3) == 0.5);
     CHECK(saturate_factor((const double[]){1.0, 8.0, 8.0}, joints, 3) == 0.25);
     CHECK(saturate_factor((const double[]){1.0, 2.0, 16.0}, joints, 3) == 0.25);
-    /* of three the first two */
+    /* only the first two of three */
     CHECK(saturate_factor((const double[]){1.0, 2.0, 16.0}, joints, 2) == 1.0);
 }
 
-/* Dead band 0.2, full duty at 10 rad/s: 0.2 + 0.08 a rad/s. */
+/* A step with a dead band of 0.2 and full duty at 10 rad/s: 0.2 + 0.08 per rad/s. */
 static pwm_output step(double last_duty, double velocity_rad_s, double slew_per_s)
 {
     pwm_config config = {.dead_band = 0.2,
@@ -89,20 +89,21 @@ static void a_duty_begins_at_the_dead_band_in_either_direction(void)
           step(0.0, 9.0, INFINITY).reasons == REASON_DUTY_CLAMPED);
     pwm_config forward = {
         .dead_band = 0.1, .duty_max = 1.0, .slew_per_s = INFINITY, .full_duty_rad_s = 10.0};
-    pwm_output back = pwm_step(&forward, 0.0, -5.0, 0.01); /* it cannot reverse: it rests */
+    pwm_output back = pwm_step(&forward, 0.0, -5.0, 0.01); /* it cannot reverse, so it rests */
     CHECK(back.duty == 0.0 && !signbit(back.duty) && back.reasons == REASON_DUTY_CLAMPED);
     CHECK(step(0.0, -9.0, INFINITY).duty == -0.6 &&
           step(0.0, -9.0, INFINITY).reasons == REASON_DUTY_CLAMPED);
 }
 
-/* Away from zero only, and from the dead band's edge where the duty is less. */
+/* The slew limits only growth away from zero. A duty inside the dead band grows from the band's
+ * edge. */
 static void a_duty_grows_no_faster_than_its_slew(void)
 {
     CHECK(is_near(step(0.0, 5.0, 10.0).duty, 0.3) &&
           step(0.0, 5.0, 10.0).reasons == REASON_DUTY_SLEW);
     CHECK(is_near(step(0.3, 5.0, 10.0).duty, 0.4) && is_near(step(-0.3, -5.0, 10.0).duty, -0.4));
     CHECK(is_near(step(-0.3, 5.0, 10.0).duty, 0.3) && is_near(step(0.3, -5.0, 10.0).duty, -0.3));
-    /* back at once */
+    /* falls at once */
     CHECK(is_near(step(0.7, 1.0, 10.0).duty, 0.28) && step(0.7, 1.0, 10.0).reasons == 0);
     CHECK(step(0.3, 9.0, 10.0).reasons == (REASON_DUTY_CLAMPED | REASON_DUTY_SLEW));
     pwm_config exact = {.dead_band = 0.25,

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * torque_loop.h: a speed loop that makes a torque, PI alone. */
+ * torque_loop.h: a PI speed loop whose output is a torque. */
 #ifndef TORQUE_LOOP_H
 #define TORQUE_LOOP_H
 
@@ -19,7 +19,7 @@ static inline speed_loop_config torque_loop(double gain_n_m_s_per_rad, double in
     };
 }
 
-/* One step of it, by its own gains and limits. */
+/* Makes one step of the loop with its own gains and limits. */
 static inline double loop_step(speed_loop_state *state, const speed_loop_config *config,
                                double want_rad_s, double measured_rad_s, double dt_s)
 {

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * odometry_base.h: the odometry of two wheels, with counts and stamps by hand. A wheel can reach
- * 52.5 rad/s: 2737.9 counts in a step, and four. */
+ * odometry_base.h: the odometry of two wheels, whose counts and stamps the test sets. A wheel can
+ * reach 52.5 rad/s: 2737.9 counts in a step; four more are accepted. */
 #ifndef MOTORD_TESTS_ODOMETRY_BASE_H
 #define MOTORD_TESTS_ODOMETRY_BASE_H
 

@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_gyro: zero, turn and status of the gyro alone, to the nanosecond, with hostile samples. */
+ * test_gyro: zero, turn and status of the gyro alone, exact to the nanosecond, also with hostile
+ * samples. */
 #include "check.h"
 #include "exchange.h"
 
@@ -30,7 +31,7 @@ static sensor new_sensor(void)
     return s;
 }
 
-/* `samples` times this rate. */
+/* The sensor reports this rate in so many samples. */
 static void say(sensor *s, double rate_rad_s, int samples, bool wheels_rest)
 {
     for (int i = 0; i < samples; i++) {
@@ -57,21 +58,21 @@ static void the_turn_is_the_rate_times_the_time(void)
     say(&s, 0.1, 400, true);
     CHECK(gyro_status(&s.state, &CONFIG, s.now_ns) == GYRO_USED);
     CHECK(fabs(s.state.bias_rad_s - 0.1) < 1e-12);
-    CHECK(!turned(&s, &turn_rad)); /* from when on? */
+    CHECK(!turned(&s, &turn_rad)); /* the turn since when is unknown */
     CHECK(turned(&s, &turn_rad) && turn_rad == 0.0);
     CHECK(s.state.still == 1);
-    gyro_state before = s.state; /* the newest sample once more: no news */
+    gyro_state before = s.state; /* the newest sample once more changes nothing */
     s.now_ns -= SAMPLE_NS;
     say(&s, 9.0, 1, true);
     CHECK(memcmp(&before, &s.state, sizeof before) == 0);
     say(&s, 0.6, 200, false);
     CHECK(turned(&s, &turn_rad) && fabs(turn_rad - 0.5) < 0.002);
-    s.now_ns += SAMPLE_NS; /* beyond the newest sample: extrapolated */
+    s.now_ns += SAMPLE_NS; /* after the newest sample: extrapolated */
     CHECK(turned(&s, &turn_rad) && fabs(turn_rad - 0.5 * 0.005) < 1e-12);
     s.now_ns += 20 * SAMPLE_NS;
     CHECK(!turned(&s, &turn_rad));
     CHECK(gyro_status(&s.state, &CONFIG, s.now_ns) == GYRO_STALE);
-    say(&s, 0.6, 2, false); /* after a gap it restarts */
+    say(&s, 0.6, 2, false); /* the integral restarts after a gap */
     CHECK(!turned(&s, &turn_rad));
     CHECK(turned(&s, &turn_rad));
     say(&s, 0.1, 1000, true); /* the zero is measured again */
@@ -79,7 +80,8 @@ static void the_turn_is_the_rate_times_the_time(void)
     CHECK(gyro_status(&s.state, &(gyro_config){0}, s.now_ns) == GYRO_NONE);
 }
 
-/* It moves at 0.5 rad/s more than its zero, and its turn is read; then the integral breaks. */
+/* The sensor moves at 0.5 rad/s above its zero, and its turn is known. The test then breaks the
+ * integral. */
 static sensor on_the_move(void)
 {
     sensor s = new_sensor();
@@ -101,7 +103,7 @@ static void is_broken_once(sensor *s)
 static void an_incomplete_angle_is_no_turn(void)
 {
     sensor s = on_the_move();
-    s.epoch++; /* another sensor, or the same after its start */
+    s.epoch++; /* another sensor, or the same one restarted */
     say(&s, 0.6, 2, false);
     is_broken_once(&s);
     s = on_the_move();
@@ -111,19 +113,19 @@ static void an_incomplete_angle_is_no_turn(void)
     say(&s, 0.6, 1, false);
     is_broken_once(&s);
     s = on_the_move();
-    s.now_ns += 20 * SAMPLE_NS; /* it was silent for longer than its timeout */
+    s.now_ns += 20 * SAMPLE_NS; /* silence longer than the timeout */
     say(&s, 0.6, 1, false);
     is_broken_once(&s);
     CHECK(s.state.refused == 0);
     sample = (imu_sample){.stamp_ns = s.now_ns + 20000000, .angular_rad_s = {0.0, 0.0, 0.6}};
     gyro_take(&s.state, &CONFIG, &sample, s.now_ns, false);
-    CHECK(s.state.refused == 1); /* of the future */
+    CHECK(s.state.refused == 1); /* a sample from the future */
 }
 
 static void the_zero_is_the_mean_of_a_second_that_begins_when_the_chassis_has_come_to_rest(void)
 {
     sensor s = new_sensor();
-    say(&s, 0.4, 90, true); /* it swings on */
+    say(&s, 0.4, 90, true); /* the chassis still swings */
     for (int i = 0; i < 220; i++) {
         say(&s, i % 2 == 0 ? 0.101 : 0.099, 1, true);
     }
@@ -131,7 +133,8 @@ static void the_zero_is_the_mean_of_a_second_that_begins_when_the_chassis_has_co
     double variance_rad2_s2 = 1e-6, mean_variance_rad2_s2 = variance_rad2_s2 / 200.0 + 1e-9;
     CHECK(fabs(s.state.rate_variance_rad2_s2 / variance_rad2_s2 - 1.0) < 0.02);
     CHECK(fabs(s.state.bias_variance_rad2_s2 / mean_variance_rad2_s2 - 1.0) < 0.02);
-    for (int i = 0; i < 200; i++) { /* a second more: as good as the first, and a little wander */
+    for (int i = 0; i < 200; i++) { /* another second, as good as the first; the zero may wander a
+                                       little */
         say(&s, i % 2 == 0 ? 0.101 : 0.099, 1, true);
     }
     double before = mean_variance_rad2_s2 + 1e-9,
@@ -143,13 +146,13 @@ static void the_zero_is_the_mean_of_a_second_that_begins_when_the_chassis_has_co
 static void turning_wheels_restart_the_time_of_rest(void)
 {
     sensor s = new_sensor();
-    say(&s, 0.0, 250, true); /* 1.25 s of the 1.5 that it takes */
+    say(&s, 0.0, 250, true); /* 1.25 s of the 1.5 s that a zero takes */
     say(&s, 0.0, 1, false);
     say(&s, 0.0, 250, true);
     CHECK(s.state.bias_stamp_ns == 0);
     say(&s, 0.0, 60, true);
     CHECK(s.state.bias_stamp_ns != 0 && s.state.still == 1);
-    say(&s, 0.5, 1, true); /* the wheels rest, and a person turns it */
+    say(&s, 0.5, 1, true); /* the wheels rest, and a person turns the base */
     CHECK(s.state.still == 0);
 }
 
@@ -159,13 +162,13 @@ static void a_base_that_moves_gives_no_zero(void)
     say(&s, 0.6, 1000, true); /* too much for a zero */
     CHECK(gyro_status(&s.state, &CONFIG, s.now_ns) == GYRO_UNBIASED);
     for (int i = 0; i < 1000; i++) {
-        say(&s, i % 2 == 0 ? 0.1 : -0.1, 1, true); /* shaken */
+        say(&s, i % 2 == 0 ? 0.1 : -0.1, 1, true); /* the base is shaken */
     }
     CHECK(s.state.bias_stamp_ns == 0);
     say(&s, 0.0, 1000, true);
     int64_t known_ns = s.state.bias_stamp_ns;
     CHECK(known_ns != 0);
-    say(&s, 0.05, 1000, true); /* turned slowly */
+    say(&s, 0.05, 1000, true); /* the base is turned slowly */
     CHECK(s.state.bias_stamp_ns == known_ns && s.state.still == 0);
 }
 
@@ -199,16 +202,16 @@ static void turning_against_the_wheels_is_remembered(void)
     sensor s = new_sensor();
     say(&s, 0.0, 400, true);
     CHECK(!gyro_reversed(&s.state, 0.9, -0.9) && !gyro_reversed(&s.state, 0.5, 0.5));
-    CHECK(!gyro_reversed(&s.state, 3.0, -0.01)); /* noise */
+    CHECK(!gyro_reversed(&s.state, 3.0, -0.01)); /* noise of the wheels */
     CHECK(gyro_reversed(&s.state, -1.1, 1.1) && gyro_reversed(&s.state, 9.0, 9.0));
     CHECK(gyro_status(&s.state, &CONFIG, s.now_ns) == GYRO_REVERSED);
     s = new_sensor();
-    for (int i = 0; i < 10; i++) { /* as often with them: a wheel slipped */
+    for (int i = 0; i < 10; i++) { /* as often with the wheels as against them: a wheel slipped */
         CHECK(!gyro_reversed(&s.state, 0.6, -0.6) && !gyro_reversed(&s.state, 0.6, 0.6));
     }
 }
 
-/* -------------------------------------------------------- to the nanosecond, to the bit */
+/* ----------------------------------------------- exact to the nanosecond and to the bit */
 typedef struct {
     gyro_state state;
     gyro_config config;
@@ -228,13 +231,13 @@ static void report_at(exact *e, int64_t stamp_ns, double rate_rad_s, bool wheels
     gyro_take(&e->state, &e->config, &sample, stamp_ns, wheels_rest);
 }
 
-/* At rest from START_NS on: this many samples between 0.5 s and 1.5 s later, `apart` to both
- * sides of `middle`. */
+/* The base is at rest from START_NS on. So many samples come between 0.5 s and 1.5 s after it,
+ * `apart_rad_s` above and below `middle_rad_s`. */
 static void rest(exact *e, int samples, double middle_rad_s, double apart_rad_s)
 {
     const int64_t settled_ns = START_NS + 500000000;
     report_at(e, START_NS, middle_rad_s, true);
-    report_at(e, settled_ns - 1, 9.0, true); /* the chassis swings to the last */
+    report_at(e, settled_ns - 1, 9.0, true); /* the chassis swings until the last moment */
     for (int i = 0; i < samples - 1; i++) {
         report_at(e, settled_ns + i * 50000000,
                   middle_rad_s + (i % 2 == 0 ? apart_rad_s : -apart_rad_s), true);
@@ -287,7 +290,7 @@ static void a_zero_may_be_as_far_off_as_is_allowed_and_the_rate_follows_it(void)
     }
 }
 
-/* Its zero is known, and is 0. */
+/* A gyro whose zero is known, and is 0. */
 static exact at_rest(double noise_rad_s)
 {
     exact e = new_exact();
@@ -324,7 +327,7 @@ static void it_counts_as_still_within_a_hundredth_or_five_deviations_of_its_nois
     double limit_rad_s = 5.0 * sqrt(20e-4 / 19.0);
     CHECK(stands_at(noisy, 0.999 * limit_rad_s * sqrt(0.1)) && stands_at(noisy, 0.0512) &&
           !stands_at(noisy, 0.0515));
-    noisy = at_rest(0.001); /* five deviations of it are less than a hundredth */
+    noisy = at_rest(0.001); /* five deviations of its noise are below 0.01 rad/s */
     CHECK(stands_at(noisy, 0.0099));
 }
 
@@ -342,7 +345,7 @@ static void rates_and_stamps_are_taken_to_the_end_of_their_range(void)
     sample.stamp_ns += 2;
     gyro_take(&e.state, &e.config, &sample, START_NS + 4, false);
     CHECK(e.state.refused == 2 && e.state.stamp_ns == sample.stamp_ns - 2);
-    sample.stamp_ns -= 2; /* once more, after another */
+    sample.stamp_ns -= 2; /* the same sample again, after another one */
     gyro_take(&e.state, &e.config, &sample, START_NS + 4, false);
     CHECK(e.state.refused == 3);
 }
@@ -359,7 +362,7 @@ static void a_gap_as_long_as_the_timeout_is_still_allowed(void)
     CHECK(gyro_status(&e.state, &e.config, e.state.stamp_ns + 500000001) == GYRO_STALE);
     double yaw_rad = e.state.yaw_rad;
     report_at(&e, e.state.stamp_ns + 500000001, 0.2, false);
-    /* what was not received is not integrated */
+    /* missing samples are not integrated */
     CHECK(e.state.epoch == 1 && e.state.yaw_rad == yaw_rad);
 }
 
@@ -375,7 +378,7 @@ static void a_broken_integral_is_stale_at_once_and_restarts_its_rest(void)
     CHECK(!gyro_turn(&e.state, &e.config, RESTED_NS + 1, &turn_rad, &variance_rad2));
     double yaw_rad = e.state.yaw_rad;
     for (int i = 0; i < 30; i++) {
-        report_at(&e, RESTED_NS + 2 + i * 50000000, 0.005, true); /* until 1.45 s later */
+        report_at(&e, RESTED_NS + 2 + i * 50000000, 0.005, true); /* for 1.45 s */
     }
     CHECK(e.state.bias_stamp_ns == RESTED_NS && fabs(e.state.yaw_rad - yaw_rad) < 0.01);
     report_at(&e, RESTED_NS + 2 + 1500000000, 0.005, true);
@@ -428,11 +431,11 @@ static void a_turn_against_the_wheels_beyond_a_quarter_and_one_radian_means_reve
     gyro_state state;
     gyro_init(&state);
     for (int i = 0; i < 100; i++) {
-        CHECK(!gyro_reversed(&state, 0.2, 0.2)); /* together, however small the steps */
+        CHECK(!gyro_reversed(&state, 0.2, 0.2)); /* in the same direction, with any size of steps */
     }
     CHECK(!gyro_reversed(&state, 1.0, -0.25) && state.opposed_rad == 0.0);
     CHECK(!gyro_reversed(&state, 1.0, -0.245) && state.opposed_rad == 0.0);
-    /* one radian, not more */
+    /* exactly one radian */
     CHECK(!gyro_reversed(&state, 0.5, -0.1275) && !gyro_reversed(&state, 0.5, -0.1275));
     CHECK(state.opposed_rad == 1.0 && gyro_reversed(&state, 1e-6, -1e-6));
 }

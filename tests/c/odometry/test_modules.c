@@ -1,16 +1,16 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_modules: the motion of a base from its rims and the angles of its wheels, against the
+ * test_modules: the motion of a base from its rims and the angles of its wheels, compared with the
  * equations of the textbook (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3). */
 #include "steered_bases.h"
 
-/* The equation of one wheel for the twist. */
+/* The equation of one wheel for the twist: `of` are the factors of its axes. */
 typedef struct {
     double of[AXES];
     double rim;
 } equation;
 
-/* Of the joints that are known: what rolls, and what does not slide. A base that does not strafe
- * has no lateral axis. */
+/* Equations of the known joints: how fast wheels roll, and that they do not slide. A base that does
+ * not strafe has no lateral axis. */
 static int equations(const core_config *base, const double *angle_rad, uint32_t joints,
                      const double *rim, equation *out)
 {
@@ -36,7 +36,7 @@ static double left_over(const equation *one, const double *twist_u)
     return one->of[0] * twist_u[0] + one->of[1] * twist_u[1] + one->of[2] * twist_u[2] - one->rim;
 }
 
-/* Of least squares: what is left over is at right angles to every column. */
+/* The residuals of least squares are orthogonal to every column. */
 static void check_least_squares(const core_config *base, const double *angle_rad, uint32_t joints,
                                 const double *rim)
 {
@@ -60,7 +60,7 @@ static void check_least_squares(const core_config *base, const double *angle_rad
         }
         CHECK(close_to(sum, 0.0));
     }
-    /* any motion has a residual */
+    /* any other motion has a residual, too */
     twist_u[0] += any(-1.0, 1.0), twist_u[1] += any(-1.0, 1.0), twist_u[2] += any(-1.0, 1.0);
     for (int i = 0; i < count; i++) {
         square += left_over(&one[i], twist_u) * left_over(&one[i], twist_u);
@@ -73,7 +73,7 @@ static void the_motion_is_that_of_least_squares_at_any_angle(void)
 {
     core_config bases[] = {bicycle(), tricycle(), ackermann(WHEELBASE_M), ackermann(-WHEELBASE_M),
                            swerve()};
-    for (int i = 0; i < COUNT_OF(bases); i++) { /* one more, which does not count */
+    for (int i = 0; i < COUNT_OF(bases); i++) { /* a module beyond the count does not count */
         bases[i].module[bases[i].module_count] =
             (wheel_module){.x_m = 1.0, .y_m = 0.5, .traction = 1};
     }
@@ -87,8 +87,8 @@ static void the_motion_is_that_of_least_squares_at_any_angle(void)
     }
 }
 
-/* A wheel with an unknown angle gives no equation; one with an unknown rim only that it does not
- * slide. */
+/* A wheel with an unknown angle gives no equation. One with an unknown rim gives only that it does
+ * not slide. */
 static void joints_without_feedback_leave_their_equations_out(void)
 {
     static const uint32_t ENOUGH[] = {0x7, 0xB, 0xD, 0xE, 0x3, 0x5, 0x6, 0x9, 0xA};
@@ -102,7 +102,8 @@ static void joints_without_feedback_leave_their_equations_out(void)
     for (int j = 0; j < JOINTS_MAX; j++) {
         rim[j] = any(-1.0, 1.0);
     }
-    check_least_squares(&strafes, turned_rad, 0x7, rim); /* each of the two rolls free once */
+    check_least_squares(&strafes, turned_rad, 0x7, rim); /* each of the two wheels rolls freely
+                                                            once */
     check_least_squares(&strafes, turned_rad, 0xD, rim);
 }
 
@@ -124,8 +125,8 @@ static void too_few_joints_determine_nothing(void)
     }
 }
 
-/* Two wheels on nearly one line: an error of a rim would be one of the turn a thousand times as
- * large. */
+/* Two wheels nearly on one line: an error of a rim would become an error of the turn that is a
+ * thousand times as large. */
 static void a_nearly_degenerate_base_is_not_determined(void)
 {
     static const struct {
@@ -144,7 +145,7 @@ static void a_nearly_degenerate_base_is_not_determined(void)
     }
 }
 
-/* Each joint shares what it determines with the others: of four wheels two for each axis. */
+/* `shared` is the number of joints per axis: 2 for four wheels and two axes. */
 static void wheels_share_the_axes_that_they_determine(void)
 {
     core_config base = good_config();
@@ -152,7 +153,7 @@ static void wheels_share_the_axes_that_they_determine(void)
     kinematics_invert(&base, 0xF, &found);
     CHECK(found.determined == 1 && found.joints == 0xF && found.strafes == 0 &&
           found.shared == 2.0);
-    base.joint[4] = base.joint[3]; /* no joint of it */
+    base.joint[4] = base.joint[3]; /* beyond the joints of the base */
     kinematics_invert(&base, 0xFF, &found);
     CHECK(found.determined == 1 && found.shared == 2.0 && found.inverse[0][4] == 0.0 &&
           found.inverse[0][3] > 0.0);
@@ -166,7 +167,7 @@ static void wheels_share_the_axes_that_they_determine(void)
     CHECK(found.determined == 1 && found.strafes == 1 && close_to(found.shared, 4.0 / 3.0));
 }
 
-/* Straight on: what the set-points and the configuration check take. */
+/* The set-points and the check of the configuration use the inverse with straight wheels. */
 static void the_inverse_of_a_base_with_modules_assumes_wheels_straight_ahead(void)
 {
     const core_config base = swerve();
@@ -175,15 +176,15 @@ static void the_inverse_of_a_base_with_modules_assumes_wheels_straight_ahead(voi
     kinematics_modules(&base, angle_rad, 0xF, &straight);
     kinematics_invert(&base, 0xF, &found);
     CHECK(memcmp(&found, &straight, sizeof found) == 0);
-    core_config one = base; /* not that of its joints' rows */
+    core_config one = base; /* the rows of its joints do not count */
     one.module_count = 1;
     one.joint[0].row = (wheel_row){1.0, 0.0, 0.25}, one.joint[1].row = (wheel_row){1.0, 0.0, -0.25};
     kinematics_invert(&one, 3, &found);
     CHECK(found.determined == 0 && found.joints == 0 && found.shared == 1.0);
 }
 
-/* Also of a base with one module only; and a missing joint neither counts nor hides the
- * others. */
+/* Also a base with a single module has no such twist. A joint beyond the count neither counts nor
+ * hides others. */
 static void wheel_speeds_alone_are_a_twist_where_they_fit_together(void)
 {
     double twist_u_s[AXES + 1] = {9.0, 9.0, 9.0, 7.0},
@@ -225,7 +226,7 @@ static void a_base_strafes_where_all_of_its_wheels_are_steered_or_one_rolls_side
     CHECK(!kinematics_strafes(&base));
     base = good_config();
     CHECK(!kinematics_strafes(&base));
-    base.joint[4].row.y = 1.0; /* no joint of it */
+    base.joint[4].row.y = 1.0; /* beyond the joints of the base */
     CHECK(!kinematics_strafes(&base));
     for (int j = 0; j < 4; j++) {
         base.joint[j].row.y = -1.0;

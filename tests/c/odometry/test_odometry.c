@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry: counters that are narrow, late or wrong, and the pose against a second
+ * test_odometry: counters that are narrow, late or wrong, and the pose compared with a second
  * implementation. */
 #include "odometry_base.h"
 
@@ -11,13 +11,14 @@ static void the_velocity_decides_about_an_unseen_turn_of_a_counter(void)
         CHECK(near(received(&b, 11 * STEP_NS, 19792 * sign, 34.0 * sign)->position_rad,
                    19792 * sign * COUNT_RAD));
         CHECK(b.state.degraded == 0);
-        received(&b, 30 * STEP_NS, 100, 34.0 * sign); /* beyond the timeout */
+        received(&b, 30 * STEP_NS, 100, 34.0 * sign); /* longer than the timeout */
         CHECK(b.state.degraded == 1 &&
               near(b.state.joint[0].position_rad, 19792 * sign * COUNT_RAD + 34.0 * 0.25 * sign));
         received(&b, 11 * STEP_NS, 10000, NAN);
         CHECK(b.state.degraded == 1 && isnan(b.state.joint[0].velocity_rad_s));
         received(&b, STEP_NS, 0, 0.0);
-        received(&b, 11 * STEP_NS, 10000, 34.0 * sign); /* it has changed too much in between */
+        received(&b, 11 * STEP_NS, 10000, 34.0 * sign); /* the velocity has changed too much in
+                                                           between */
         CHECK(b.state.degraded == 1);
     }
 }
@@ -50,7 +51,7 @@ static void a_sample_that_is_no_newer_than_the_last_is_ignored(void)
     }
 }
 
-/* As far as it can come while feedback counts, and no farther. */
+/* A counter catches up what it can reach in the feedback timeout, and no more. */
 static void the_catching_up_of_a_counter_at_rest_is_bounded(void)
 {
     for (int far = 0; far < 2; far++) {
@@ -86,7 +87,7 @@ static void an_impossible_velocity_is_no_travel(void)
     CHECK(isnan(b.state.joint[0].velocity_rad_s) && b.state.joint[0].jumps == 1);
 }
 
-/* --- the pose, against a second implementation: long double, and whole matrices */
+/* --- the pose, compared with a second implementation with long double and whole matrices */
 
 typedef struct {
     double x_m, y_m, heading_rad, distance_m, turned_rad, p[3][3];
@@ -158,8 +159,8 @@ static int64_t any(int64_t least, int64_t most)
     return least + (int64_t)(noise % (uint64_t)(most - least + 1));
 }
 
-/* Four wheels, of other sizes and counts; those of a side go together, along one exact arc. Each
- * step is checked. */
+/* Four wheels of different sizes and counts. The wheels of a side move together, along an exact
+ * arc. Each step is checked. */
 static void pose_and_covariance_are_those_of_exact_arcs(void)
 {
     core_config config = begun(32).config;
@@ -184,7 +185,7 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
         int64_t after_ns = any(SPREAD_EVERY_NS / 1000000, 90) * 1000000,
                 most = (int64_t)(17.0 / COUNT_RAD * (double)after_ns * 1e-9);
         double side_m[2] = {0.0, 0.0};
-        int kind = step % 5; /* a curve, straight on, on the spot, small, at rest */
+        int kind = step % 5; /* kinds: a curve, straight on, on the spot, small, at rest */
         int64_t common = any(-most, most), left = any(-most, most), small = any(-3, 3);
         for (int j = 0; j < 4; j++) {
             int64_t count = kind == 0   ? (j % 2 ? common : left)
@@ -228,7 +229,7 @@ static void pose_and_covariance_are_those_of_exact_arcs(void)
     CHECK(state.epoch == 1 && near(state.joint[2].position_rad, position_rad[2]));
 }
 
-/* What one side has gone before the reset is not in the pose after it. */
+/* Travel of one side from before the reset is not part of the pose after it. */
 static void a_reset_throws_away_what_is_pending(void)
 {
     base b = begun(32);
@@ -241,7 +242,7 @@ static void a_reset_throws_away_what_is_pending(void)
     CHECK(b.state.distance_m == 0.0 && b.state.x_m == 0.0 && b.state.heading_rad == 0.0);
 }
 
-/* The deviations grow as if all wheels went as fast as the set-points make the fastest go. */
+/* The deviations grow as if all wheels were as fast as the fastest one by its set-point. */
 static void without_a_side_the_deviations_grow_by_the_distance(void)
 {
     base b = begun(32);
@@ -258,7 +259,7 @@ static void without_a_side_the_deviations_grow_by_the_distance(void)
                                                {.velocity_rad_s = 4.0},
                                                {.velocity_rad_s = 9.0}};
     odometry_drift(&b.state, &b.config, wheels, 0.5);
-    double moved_m = 0.2, turn_rad = (0.2 + 0.2) / 0.5; /* all at 4 rad/s, 0.1 m, half a second */
+    double moved_m = 0.2, turn_rad = (0.2 + 0.2) / 0.5; /* all at 4 rad/s and 0.1 m for 0.5 s */
     CHECK(near(sqrt(b.state.pose_covariance[0]), 0.2 + moved_m) &&
           near(sqrt(b.state.pose_covariance[3]), 0.3 + moved_m));
     CHECK(near(sqrt(b.state.pose_covariance[5]), 0.1 + turn_rad));
@@ -310,37 +311,37 @@ static void every_number_of_the_state_is_checked(void)
         CHECK(!odometry_finite(&s, 2));
         *NUMBERS[i] = before;
     }
-    s.joint[2].position_rad = NAN; /* there is no such joint */
+    s.joint[2].position_rad = NAN; /* beyond the joints of the base */
     CHECK(odometry_finite(&s, 2));
 }
 
-/* --- one sample, in numbers: reach is 1.5 times 35 rad/s, and four counts */
+/* --- one sample: it may move 1.5 times 35 rad/s, and four counts */
 
 static void the_possible_travels_of_a_counter_decide_which_is_accepted(void)
 {
     static const struct {
         uint32_t bits;
-        int64_t steps, counts; /* hundredths of a second, and counts in them */
+        int64_t steps, counts; /* number of steps of 0.01 s, and counts in them */
         double before_rad_s, velocity_rad_s, travel_rad;
         uint32_t jumps, degraded;
     } CASES[] = {
-        /* after a silence a wide one brings all that was missed */
+        /* after a silence, a wide counter adds all that was missed */
         {32, 500, 30000, NAN, NAN, 30000 * COUNT_RAD, 0, 0},
-        {32, 1, 2741, NAN, NAN, 2741 * COUNT_RAD, 0, 0}, /* 0.525 rad are 2737.9 counts, and 4 */
+        {32, 1, 2741, NAN, NAN, 2741 * COUNT_RAD, 0, 0}, /* 0.525 rad are 2737.9 counts, plus 4 */
         {32, 1, 2742, NAN, NAN, 0.0, 1, 1},
         {32, 1, -2741, NAN, NAN, -2741 * COUNT_RAD, 0, 0},
         {32, 1, -2742, NAN, NAN, 0.0, 1, 1},
-        {32, 1, 9000, 20.0, 30.0, 0.25, 1, 1}, /* the mean of both ends is used */
+        {32, 1, 9000, 20.0, 30.0, 0.25, 1, 1}, /* the mean of both velocities is used */
         {32, 1, 9000, NAN, 30.0, 0.30, 1, 1},
         {32, 1, 9000, 20.0, NAN, 0.0, 1, 1},
         {32, 1, 9000, 20.0, 85.1, 0.0, 1, 1}, /* 52.55 rad/s: no wheel is so fast */
         {32, 1, 9000, 20.0, 84.9, 0.5245, 1, 1},
-        {32, 40, 200000, 20.0, 20.0, 20.0 * 0.25, 1, 1}, /* as long as feedback counts, no longer */
-        /* too long ago to count its turns by the velocity */
+        {32, 40, 200000, 20.0, 20.0, 20.0 * 0.25, 1, 1}, /* no longer than the feedback timeout */
+        /* too long ago to find its turns from the velocity */
         {16, 40, 30000, 14.0, 14.5, 30000 * COUNT_RAD, 0, 1},
         {15, 11, 19792, 34.0, 34.0, 19792 * COUNT_RAD, 0, 0},
-        {15, 11, 19792, 14.0, 54.0, 34.0 * 0.11, 0, 1}, /* it has changed too much */
-        /* a turn less would be faster than any wheel */
+        {15, 11, 19792, 14.0, 54.0, 34.0 * 0.11, 0, 1}, /* the velocity has changed too much */
+        /* one turn less would be faster than any wheel */
         {12, 1, 1300, NAN, NAN, 1300 * COUNT_RAD, 0, 0},
         {12, 1, -1300, NAN, NAN, -1300 * COUNT_RAD, 0, 0},
     };
@@ -360,7 +361,8 @@ static void the_possible_travels_of_a_counter_decide_which_is_accepted(void)
     }
 }
 
-/* Another epoch: the counter's origin may have moved, so the drive's velocity is used once. */
+/* In a new epoch the origin of the counter may have moved, so one step uses the drive's
+ * velocity. */
 static void a_moved_origin_is_no_travel(void)
 {
     base b = begun(32);
@@ -372,8 +374,8 @@ static void a_moved_origin_is_no_travel(void)
           b.state.degraded == 0);
 }
 
-/* Without a counter: what the drive measures, else what it was sent, for as long as feedback
- * counts. */
+/* Without a counter the odometry uses the measured velocity, else the set-point, for at most the
+ * feedback timeout. */
 static void without_a_counter_the_velocity_or_the_set_point_is_integrated(void)
 {
     static const uint32_t stale[JOINTS_MAX] = {0};
@@ -405,7 +407,7 @@ static void without_a_counter_the_velocity_or_the_set_point_is_integrated(void)
     }
 }
 
-/* One of two wheels of a side falls silent, comes again, and brings nothing until it has a
+/* One of two wheels of a side falls silent, returns, and adds no travel before it has a
  * reference. */
 static void a_wheel_that_was_silent_restarts_and_is_reported_degraded(void)
 {
@@ -431,7 +433,7 @@ static void a_wheel_that_was_silent_restarts_and_is_reported_degraded(void)
         CHECK(near(state.distance_m, (step - 1) * 1000 * COUNT_RAD * 0.1) &&
               fabs(state.heading_rad) < 1e-12);
     }
-    /* how far it went without feedback is not known */
+    /* its travel without feedback is unknown */
     CHECK(near(state.joint[2].position_rad, 4000 * COUNT_RAD));
     stale[0] = stale[2] = 1;
     odometry_step(&state, &config, feedback, stale, wheels);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_odometry_bases: the odometry of bases that strafe and of those that are steered, and what
- * the errors include where wheels fall silent or a gyro begins. */
+ * test_odometry_bases: the odometry of bases that strafe or are steered, and the errors that it
+ * includes when wheels fall silent or a gyro begins. */
 #include "steered_bases.h"
 
 static const int64_t STEP_NS = 10000000;
@@ -48,7 +48,7 @@ static double rim_m(const base *b, uint32_t j, int64_t counts)
 
 static const int64_t NOTHING_NEW[JOINTS_MAX] = {0};
 
-/* Wheels of a differential base: on the left the even ones, on the right the odd ones. */
+/* A differential base: even joints are on the left, odd ones on the right. */
 static core_config sides(uint32_t wheels)
 {
     core_config config = good_config();
@@ -70,7 +70,7 @@ static core_config mecanum(void)
     return config;
 }
 
-/* --- the beginning */
+/* --- start */
 static void only_a_joint_whose_angle_is_estimated_begins_at_an_angle(void)
 {
     for (uint32_t estimated = 0; estimated < 2; estimated++) {
@@ -78,7 +78,8 @@ static void only_a_joint_whose_angle_is_estimated_begins_at_an_angle(void)
         core_config config = ackermann(WHEELBASE_M);
         config.joint[3].position.reference =
             estimated ? REFERENCE_ESTIMATED : config.joint[2].position.reference;
-        config.joint[0].position.reference = REFERENCE_ESTIMATED; /* it rolls: it has no angle */
+        config.joint[0].position.reference = REFERENCE_ESTIMATED; /* this joint rolls, so it has no
+                                                                     angle */
         begin_with(&b, config);
         for (int j = 0; j < JOINTS_MAX; j++) {
             CHECK(j == 3 && estimated ? b.state.angle_rad[j] == 0.0 : isnan(b.state.angle_rad[j]));
@@ -121,7 +122,7 @@ static void the_covariances_of_a_speed_sideways_are_the_rates_of_the_errors(void
     CHECK(b.state.lateral_m_s != 0.0);
 }
 
-/* --- what a look takes in */
+/* --- checks of the errors */
 static void same_pose_variance(const odometry_state *a, const odometry_state *b)
 {
     for (int i = 0; i < 6; i++) {
@@ -130,7 +131,7 @@ static void same_pose_variance(const odometry_state *a, const odometry_state *b)
     }
 }
 
-/* Their common travel is checked with the equations of all of them. */
+/* The common travel so far is checked with the equations of all wheels. */
 static void before_a_wheel_is_left_out_the_errors_of_all_are_checked(void)
 {
     static const int64_t COUNTS[] = {3000, 5000, 3500, 4000};
@@ -164,8 +165,8 @@ static void all_but(base *b, uint32_t out)
     }
 }
 
-/* It sent a sample before it fell silent, or sends some before it counts again: not all of its
- * travel is known. */
+/* The wheel sends a sample before it falls silent, or some before it counts again: its travel is
+ * not completely known. */
 static void a_wheel_that_is_left_out_has_no_travel_in_a_look(void)
 {
     enum { OUT = 3 };
@@ -202,8 +203,8 @@ static void gyro_turns(base *b, double yaw_rad)
     b->state.gyro.yaw_rad = yaw_rad;
 }
 
-/* What was done before has the wheels' errors, and this arc is the first of the gyro's; as well
- * with the most wheels. */
+/* The motion so far has the errors of the wheels, and this arc is the first one by the gyro. Cases:
+ * each number of wheels. */
 static void before_the_gyro_takes_over_the_motion_of_the_wheels_is_checked(void)
 {
     for (uint32_t wheels = 2; wheels <= JOINTS_MAX; wheels += 2) {
@@ -215,7 +216,7 @@ static void before_the_gyro_takes_over_the_motion_of_the_wheels_is_checked(void)
         all_come(&b, STEP_NS, NOTHING_NEW);
         all_come(&b, SPREAD_EVERY_NS, COUNTS);
         gyro_turns(&b, 0.0);
-        all_come(&b, STEP_NS, COUNTS); /* from here on it has a reference */
+        all_come(&b, STEP_NS, COUNTS); /* from here on the gyro has a reference */
         CHECK(b.state.by_gyro == 0 && b.state.gyro.referenced == 1 &&
               b.state.spread.rim_m[1] > 0.0);
         odometry_state expected = b.state;
@@ -232,7 +233,7 @@ static void before_the_gyro_takes_over_the_motion_of_the_wheels_is_checked(void)
     }
 }
 
-/* --- wheels that only begin */
+/* --- wheels that start */
 static void one_side_alone_beside_a_starting_wheel_is_reported_degraded(void)
 {
     for (uint32_t first = 0; first < 2; first++) {
@@ -252,7 +253,7 @@ static void one_side_alone_beside_a_starting_wheel_is_reported_degraded(void)
     }
 }
 
-/* All have been seen, each before a reset: when the first arc began is not known. */
+/* Each wheel has been seen, but before a reset: the beginning of the first arc is unknown. */
 static void a_first_arc_without_a_beginning_moves_the_base_and_measures_no_speed(void)
 {
     static const int64_t COUNTS[] = {1000, 3000, 1000, 5000};
@@ -276,7 +277,7 @@ static void a_first_arc_without_a_beginning_moves_the_base_and_measures_no_speed
     }
 }
 
-/* --- a base that is steered */
+/* --- a steered base */
 static double unexplained_m(const base *b, uint32_t joints, const int64_t *counts)
 {
     double rims_m[JOINTS_MAX], twist_u[AXES] = {0.0};
@@ -289,7 +290,7 @@ static double unexplained_m(const base *b, uint32_t joints, const int64_t *count
     return kinematics_residual(&b->config, b->state.angle_rad, joints, rims_m, twist_u);
 }
 
-/* SLIP_TIME_S of odometry_modules.c: 0.2 s. */
+/* The smoothing time is SLIP_TIME_S of odometry_modules.c: 0.2 s. */
 static void rims_of_steered_wheels_that_do_not_fit_together_are_slip(void)
 {
     static const int64_t COUNTS[JOINTS_MAX] = {0, 3000, 0, 5000, 0, 2000, 0, 4500};
@@ -306,7 +307,7 @@ static void rims_of_steered_wheels_that_do_not_fit_together_are_slip(void)
     }
 }
 
-/* The newest sample of the last arc was that of a wheel that is silent now. */
+/* The newest sample of the last arc was from a wheel that is silent now. */
 static void an_arc_without_time_is_no_slip(void)
 {
     static const int64_t COUNTS[JOINTS_MAX] = {0, 3000, 0, 5000, 0, 2000, 0, 4500};

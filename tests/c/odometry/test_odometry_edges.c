@@ -40,7 +40,7 @@ static void the_reach_of_a_joint_is_computed_at_the_beginning(void)
     }
 }
 
-/* Travel of either side from before the reset counts for no arc after it. */
+/* Travel of one side from before the reset is not part of an arc after it. */
 static void a_reset_waits_for_both_sides_again(void)
 {
     for (int first = 0; first < 2; first++) {
@@ -63,8 +63,8 @@ static void a_reset_waits_for_both_sides_again(void)
     }
 }
 
-/* A counter of one turn, silent for so long that it may have turned once: the velocities decide
- * whether it has. */
+/* A counter that wraps after one turn was silent for so long that it may have done so. The
+ * velocities decide. */
 static void velocities_that_are_certain_enough_decide_about_whole_turns(void)
 {
     static const struct {
@@ -72,14 +72,14 @@ static void velocities_that_are_certain_enough_decide_about_whole_turns(void)
         double before_rad_s, after_rad_s;
         bool believed;
     } CASES[] = {
-        /* 1.19 of change and 0.37 of error: a quarter turn is 1.57 */
+        /* 1.19 rad of change and 0.37 rad of error are below a quarter turn, 1.57 rad */
         {11, 19505, 34.0 - 10.85, 34.0 + 10.85, true},
         {11, 19505, 34.0 - 10.90, 34.0 + 10.90, false},
-        {11, 27640, 34.0, 34.0, true}, /* 1.56 rad beside what was measured */
+        {11, 27640, 34.0, 34.0, true}, /* 1.56 rad from the measured travel */
         {11, 27744, 34.0, 34.0, false},
         {11, 11369, 34.0, 34.0, true},
         {11, 11265, 34.0, 34.0, false},
-        {25, 44329, 34.0, 34.0, true}, /* as long as feedback counts */
+        {25, 44329, 34.0, 34.0, true}, /* as long as the feedback timeout */
         {26, 46102, 34.0, 34.0, false},
         {11, -27640, -34.0, -34.0, true},
         {11, -27744, -34.0, -34.0, false},
@@ -93,7 +93,7 @@ static void velocities_that_are_certain_enough_decide_about_whole_turns(void)
     }
 }
 
-/* --- what can be reached in a step, and what the steps before did not use */
+/* --- reach of a step, and what earlier steps left of theirs */
 
 static void a_refused_sample_adds_no_reach_after_an_accepted_one(void)
 {
@@ -101,7 +101,7 @@ static void a_refused_sample_adds_no_reach_after_an_accepted_one(void)
     received(&b, STEP_NS, 0, NAN);
     CHECK(received(&b, STEP_NS, 20000, NAN)->jumps == 1);
     CHECK(received(&b, STEP_NS, -20000, NAN)->jumps == 1 && b.state.joint[0].position_rad == 0.0);
-    CHECK(received(&b, STEP_NS, 10430, NAN)->jumps == 2); /* 2 rad: there are 1.575 left */
+    CHECK(received(&b, STEP_NS, 10430, NAN)->jumps == 2); /* 2 rad: only 1.575 rad are left */
 }
 
 static void an_estimate_is_corrected_by_the_counts_that_follow(void)
@@ -145,7 +145,7 @@ static void a_counter_that_stays_where_it_jumped_to_is_followed_from_there(void)
     }
 }
 
-/* What a sample catches up is older than the time since the last one. */
+/* The distance that a sample catches up took longer than the time since the last sample. */
 static void a_speed_is_that_of_the_time_in_which_the_distance_was_covered(void)
 {
     base b = begun(32);
@@ -155,7 +155,7 @@ static void a_speed_is_that_of_the_time_in_which_the_distance_was_covered(void)
     for (int i = 0; i < 3; i++) {
         received(&b, STEP_NS, 0, NAN);
     }
-    /* within the slack */
+    /* within the four counts */
     CHECK(near(received(&b, STEP_NS, -2741, NAN)->velocity_rad_s, -2741 * COUNT_RAD / 0.01));
     b = begun(32);
     for (int i = 0; i < 3; i++) {
@@ -172,7 +172,7 @@ static void a_counter_that_has_used_all_its_reach_has_none_left(void)
     CHECK(received(&b, STEP_NS, 2742, NAN)->jumps == 1);
 }
 
-/* Two steps since the last accepted sample: 5475.8 counts, and four. */
+/* In two steps since the last accepted sample a wheel can reach 5475.8 counts, and four. */
 static void after_a_refused_sample_all_time_since_the_last_good_one_counts(void)
 {
     for (int far = 0; far < 2; far++) {
@@ -188,7 +188,7 @@ static void after_a_refused_sample_all_time_since_the_last_good_one_counts(void)
         received(&b, STEP_NS, 0, NAN);
     }
     received(&b, STEP_NS, 90000, NAN);
-    /* the steps before the jump were not used */
+    /* the steps before the jump have left their reach */
     CHECK(received(&b, STEP_NS, 6000 - 90000, NAN)->jumps == 1);
 }
 
@@ -202,7 +202,7 @@ static void a_nearby_new_origin_is_no_travel_either(void)
     CHECK(b.state.joint[0].epoch == 1);
 }
 
-/* One side brings two samples before the other brings one: all that they were is reported. */
+/* One side has two samples before the other has one. The kind of each is reported. */
 static void an_estimate_among_several_samples_of_a_side_is_kept(void)
 {
     for (int seed = 0; seed < 2; seed++) {
@@ -221,7 +221,7 @@ static void an_estimate_among_several_samples_of_a_side_is_kept(void)
     }
 }
 
-/* A wheel beside it that restarts does not clear this. */
+/* A wheel of the same side that restarts does not clear the report. */
 static void a_wheel_without_feedback_is_reported_whatever_the_others_measure(void)
 {
     base b = begun(32);
@@ -239,8 +239,7 @@ static void a_wheel_without_feedback_is_reported_whatever_the_others_measure(voi
     }
 }
 
-/* By series for small turns, by the sine for others: right to the last bits on both sides of the
- * change. */
+/* Small turns use a series, others the sine: both are exact to the last bits next to the change. */
 static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
 {
     static const double HALF_RAD[] = {1e-4, 0.05, 0.0999, 0.1001, 0.14, 0.3, 0.9};
@@ -262,8 +261,8 @@ static void the_chord_of_an_arc_is_right_to_the_last_bits(void)
     }
 }
 
-/* Then the heading is as uncertain as the gyro, however the wheels scrub, and independent of the
- * error of the distance. */
+/* With a gyro the heading is as uncertain as the gyro, however the wheels slip. It does not depend
+ * on the error of the distance. */
 static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
 {
     base b = begun(32);
@@ -291,7 +290,7 @@ static void a_turn_by_the_gyro_has_the_gyro_s_variance(void)
     CHECK(fabs(b.state.pose_covariance[2] / (-0.5 * turn_rad2 * moved_m * sin(0.01)) - 1.0) < 1e-9);
 }
 
-/* What it measures is the rate, and of a base that stands it is zero. */
+/* The speed is the measured rate, or zero if the base stands still. */
 static void the_speed_of_a_turn_is_the_gyro_s(void)
 {
     for (uint32_t still = 0; still < 2; still++) {
@@ -317,15 +316,15 @@ static void no_variance_of_the_pose_is_below_its_floor(void)
     base b = begun(32);
     b.config.pose_variance_floor_m2 = 1e-4, b.config.heading_variance_floor_rad2 = 2e-4;
     received(&b, STEP_NS, 0, NAN);
-    received(&b, SPREAD_EVERY_NS - 1, 0, NAN); /* not yet checked */
+    received(&b, SPREAD_EVERY_NS - 1, 0, NAN); /* before the next check */
     CHECK(b.state.pose_covariance[0] < 1e-4 && b.state.pose_covariance[5] < 2e-4);
     received(&b, 1, 0, NAN);
     CHECK(b.state.pose_covariance[0] == 1e-4 && b.state.pose_covariance[3] == 1e-4 &&
           b.state.pose_covariance[5] == 2e-4);
 }
 
-/* One wheel of a side restarts while the other is silent: travel of the other side meanwhile is no
- * arc. */
+/* One wheel of a side restarts while the other is silent. Travel of the other side in this time is
+ * no arc. */
 static void a_side_that_only_starts_makes_no_turn(void)
 {
     for (int side = 0; side < 2; side++) {
@@ -349,7 +348,8 @@ static void a_side_that_only_starts_makes_no_turn(void)
     }
 }
 
-/* All of a side: the pose does not move meanwhile, and then moves as far as the counters did. */
+/* All wheels of a side are silent: the pose does not move, and later moves as far as the counters
+ * did. */
 static void a_side_that_was_silent_adds_the_missed_travel(void)
 {
     base b = begun(32);
@@ -369,7 +369,7 @@ static void a_side_that_was_silent_adds_the_missed_travel(void)
     CHECK(near(b.state.heading_rad, 0.0));
 }
 
-/* Either side, which has never reported before. */
+/* Cases: each side, which has not reported before. */
 static void a_side_that_reports_later_makes_no_turn(void)
 {
     for (uint32_t silent = 0; silent < 2; silent++) {
@@ -387,8 +387,8 @@ static void a_side_that_reports_later_makes_no_turn(void)
     }
 }
 
-/* The newest stamp was that of a wheel that is silent now: no time has passed since then, and no
- * speed is measured. */
+/* The newest stamp was from a wheel that is silent now. Since then no time has passed, so no speed
+ * is measured. */
 static void samples_no_newer_than_the_last_arc_give_no_speed(void)
 {
     for (int64_t short_ns = 0; short_ns < 2; short_ns++) {

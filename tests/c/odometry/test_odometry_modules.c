@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * What the odometry of steered bases has beside that of others: angles, and arcs between them. */
+ * The parts of the odometry that only steered bases have: angles, and arcs between them. */
 #include "steered_bases.h"
 
 static void an_angle_is_its_counters_distance_from_zero(void)
@@ -11,12 +11,12 @@ static void an_angle_is_its_counters_distance_from_zero(void)
     odometry_init(&state, &config);
     state.joint[2].count = 1200;
     modules_take_angle(&state, &config, 2);
-    CHECK(isnan(state.angle_rad[2])); /* nothing has come yet */
+    CHECK(isnan(state.angle_rad[2])); /* no sample has arrived */
     for (uint32_t last = BELIEVED; last <= REFUSED; last++) {
         state.joint[2].last = last, state.joint[2].count = 1200;
         modules_take_angle(&state, &config, 2);
         CHECK(close_to(state.angle_rad[2], -0.2));
-        state.joint[2].count = 3000; /* the shorter direction */
+        state.joint[2].count = 3000; /* in the shorter direction */
         modules_take_angle(&state, &config, 2);
         CHECK(close_to(state.angle_rad[2], -2.0));
     }
@@ -52,12 +52,12 @@ static void an_arc_has_the_angles_of_its_middle(void)
             CHECK(close_to(state.used.inverse[a][0], expected.inverse[a][0]));
         }
     }
-    modules_look(&state, &config, 2); /* what rolls sends nothing */
+    modules_look(&state, &config, 2); /* the rolling joint is silent */
     CHECK(state.used.determined == 0);
 }
 
-/* Of a swerve base with a silent joint too, whose arc begins where the last one ended, not at
- * the last look. */
+/* Swerve base, also with a silent joint. An arc begins where the last one ended, not at the last
+ * look. */
 static void an_arc_begins_where_the_last_one_ended_also_while_a_joint_is_silent(void)
 {
     core_config config = swerve_of_four();
@@ -69,7 +69,7 @@ static void an_arc_begins_where_the_last_one_ended_also_while_a_joint_is_silent(
         odometry_init(&state, &config);
         for (int i = 0; i < 3; i++) {
             double before_x_m = state.x_m, before_y_m = state.y_m;
-            for (int half = 0; half < 2; half++) { /* lines do not answer all at once */
+            for (int half = 0; half < 2; half++) { /* the lines do not answer at the same time */
                 for (int j = 4 * half; j < 4 * half + 4; j++) {
                     feedback[j].stamp_ns = (i + 1) * 10 * MS_NS;
                     feedback[j].count = j % 2 == 0 ? (uint64_t)(i * 2000) : (uint64_t)(i * 20000);

@@ -1,13 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0
- * test_spread: pose and covariances of a base with mecanum wheels by the formulas of the textbook,
- * implemented a second time; what steering without measurement adds, and how uncertain a base
- * becomes whose wheels are silent. */
+ * test_spread: pose and covariances of a base with mecanum wheels, compared with a second
+ * implementation of the textbook's formulas; the error that steering without a measurement adds;
+ * and how uncertain a base becomes whose wheels are silent. */
 #include "steered_bases.h"
 
 enum { WHEELS = 4 };
 
-static const double SMOOTHED_S = 0.2; /* SLIP_TIME_S of spread.c, of which nothing else is taken
-                                         from there */
+static const double SMOOTHED_S = 0.2; /* SLIP_TIME_S of spread.c, of which the test uses no other
+                                         part */
 static const double RIM_M[WHEELS] = {0.05, 0.031, 0.02, 0.047};
 static const int64_t BEFORE_NS = 1000000000, STEP_NS = 50000000;
 
@@ -27,7 +27,7 @@ static core_config mecanum(void)
     return config;
 }
 
-/* Covariance of the motion, in the frame of the base: x, y, turn. */
+/* Covariance of the motion in the frame of the base: x, y and turn. */
 typedef struct {
     double slip_m_s;
     double turn_rad;
@@ -73,7 +73,7 @@ static void times(double a[3][3], double b[3][3], double out[3][3])
     }
 }
 
-/* A C A' */
+/* Computes A C A'. */
 static void carried(double a[3][3], double c[3][3], double out[3][3])
 {
     double half[3][3], turned[3][3];
@@ -135,7 +135,7 @@ static void a_look_carries_the_wheels_errors_and_their_slip_into_pose_and_twist(
           s.spread.rim_m[0] == 0.0);
 }
 
-/* How long it took is not known: no slip, and no rate. */
+/* The time of the first look is unknown: it gives neither slip nor rates. */
 static void the_first_look_adds_errors_without_a_time(void)
 {
     static odometry_state s;
@@ -186,7 +186,7 @@ static void a_curve_sideways_ends_where_the_textbook_puts_it(void)
     CHECK(fabs(s.angular_rad_s - turn / 0.05) < 1e-5 && s.degraded == 0);
 }
 
-/* One that is left out no longer has its own error: it restarts when it is back. */
+/* A wheel that is left out has no error of its own any more. It restarts when it returns. */
 static void only_wheels_that_determine_the_motion_count_in_the_slip(void)
 {
     static const uint32_t JOINTS[] = {0xB, 0xD, 0x7, 0xE, 0xF};
@@ -220,10 +220,10 @@ static void only_wheels_that_determine_the_motion_count_in_the_slip(void)
     }
 }
 
-/* --- steering that measures nothing */
+/* --- steering joints without a measurement */
 
-/* The variance of the heading after a travel of the rims with these angles, of a base without
- * other errors. */
+/* The variance of the heading after the rims have moved by `rim_m` with these angles. The base has
+ * no other errors. */
 static double steered_rad2(core_config config, const double *angle_rad, double rim_m)
 {
     static odometry_state s;
@@ -240,8 +240,8 @@ static double steered_rad2(core_config config, const double *angle_rad, double r
     return s.pose_covariance[5];
 }
 
-/* It may point beside it by 0.03 rad for a metre, which turns the base by as much over its
- * lever. */
+/* The direction may be off by 0.03 rad per metre, which turns the base by the resulting distance
+ * over the lever. */
 static double beside_rad2(double distance_m, double lever2_m2)
 {
     return 0.03 * 0.03 * 1.0 * distance_m / lever2_m2;
@@ -253,7 +253,7 @@ static void a_wheel_whose_angle_is_estimated_turns_the_base_by_its_error_over_it
     core_config base = bicycle();
     CHECK(steered_rad2(base, straight_rad, 0.5) == 0.0);
     base.joint[1].position.reference = REFERENCE_ESTIMATED;
-    base.module[2].x_m = 0.1, base.module[2].y_m = 0.0; /* no module of it */
+    base.module[2].x_m = 0.1, base.module[2].y_m = 0.0; /* beyond the modules of the base */
     CHECK(near(steered_rad2(base, straight_rad, 0.5), beside_rad2(0.5, 0.3 * 0.3)));
     CHECK(near(steered_rad2(base, straight_rad, -0.8), beside_rad2(0.8, 0.3 * 0.3)));
     CHECK(steered_rad2(base, straight_rad, 0.0) == 0.0);
@@ -286,12 +286,13 @@ static void the_error_of_a_wheel_that_is_estimated_grows_with_the_distance_in_an
     core_config base = swerve();
     base.joint[0].position.reference = REFERENCE_ESTIMATED;
     for (int i = -3; i <= 3; i++) {
-        double angle_rad[JOINTS_MAX] = {0.5 * i, 0.0, 0.5 * i - 0.3}; /* all point there */
+        double angle_rad[JOINTS_MAX] = {0.5 * i, 0.0, 0.5 * i - 0.3}; /* both wheels point in this
+                                                                         direction */
         CHECK(near(steered_rad2(base, angle_rad, 0.4), beside_rad2(0.4, 0.3 * 0.3 + 0.1 * 0.1)));
     }
 }
 
-/* It has no lever. */
+/* A wheel in the middle has no lever. */
 static void a_wheel_in_the_middle_that_is_estimated_turns_nothing(void)
 {
     const double straight_rad[JOINTS_MAX] = {0.0, 0.0, -0.3};
@@ -302,7 +303,7 @@ static void a_wheel_in_the_middle_that_is_estimated_turns_nothing(void)
           steered_rad2(base, straight_rad, 0.0) == 0.0);
 }
 
-/* --- wheels that are not seen */
+/* --- wheels without feedback */
 static double all_of(const double *inverse)
 {
     double sum = 0.0;
@@ -323,7 +324,7 @@ static void a_blind_base_that_strafes_may_have_gone_ahead_and_sideways(void)
     s.lateral_covariance[0] = 0.02, s.lateral_covariance[1] = 0.0, s.lateral_covariance[2] = 0.03;
     const joint_setpoint wheels[JOINTS_MAX] = {
         {.velocity_rad_s = 1.0}, {.velocity_rad_s = -2.0}, {.velocity_rad_s = 1.5}};
-    odometry_drift(&s, &config, wheels, 0.1); /* the fastest 0.02 m */
+    odometry_drift(&s, &config, wheels, 0.1); /* the fastest wheel moves 0.02 m */
     double distance_m =
         0.02 * (all_of(s.used.inverse[AXIS_LINEAR]) + all_of(s.used.inverse[AXIS_LATERAL]));
     CHECK(distance_m > 0.03 && near(s.pose_covariance[0], pow(0.2 + distance_m, 2.0)));
@@ -331,13 +332,13 @@ static void a_blind_base_that_strafes_may_have_gone_ahead_and_sideways(void)
     CHECK(near(s.pose_covariance[5], pow(0.1 + 0.02 * all_of(s.used.inverse[AXIS_ANGULAR]), 2.0)));
     CHECK(s.lateral_covariance[0] == 0.02 && near(s.lateral_covariance[1], 1e-3 + 0.09) &&
           s.lateral_covariance[2] == 0.03);
-    s.lateral_covariance[1] = 7.0; /* it was more uncertain before */
+    s.lateral_covariance[1] = 7.0; /* more uncertain than the new value */
     odometry_drift(&s, &config, wheels, 0.1);
     CHECK(s.lateral_covariance[0] == 0.02 && s.lateral_covariance[1] == 7.0 &&
           s.lateral_covariance[2] == 0.03);
 }
 
-/* As uncertain as one wheel of each side: neither is left out. */
+/* The base is as uncertain as one wheel of each side makes it: neither is left out. */
 static void a_blind_base_that_does_not_strafe_has_no_variance_sideways(void)
 {
     static odometry_state s;
@@ -375,7 +376,7 @@ static void a_blind_base_with_steered_wheels_may_have_turned_as_they_point(void)
         CHECK(fabs(blind_turn_rad(&two, angle_rad) - 0.05 * tan(0.1 * abs(i)) / WHEELBASE_M) <
               1e-12);
     }
-    const double unknown_rad[JOINTS_MAX] = {NAN, NAN}; /* as if straight ahead */
+    const double unknown_rad[JOINTS_MAX] = {NAN, NAN}; /* counts as straight ahead */
     CHECK(blind_turn_rad(&two, unknown_rad) == 0.0);
     double spot_rad = atan2(0.3, 0.2), angle_rad[JOINTS_MAX];
     for (int j = 0; j < JOINTS_MAX; j++) {

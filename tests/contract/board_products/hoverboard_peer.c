@@ -1,17 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * Both ends of the hoverboard FOC firmware's UART, written from the firmware's sources alone
- * (EFeru/hoverboard-firmware-hack-FOC: Src/util.c, Src/main.c, Inc/config.h) and sharing nothing
+ * Both ends of the hoverboard FOC firmware's UART. It was written only from the firmware's sources
+ * (EFeru/hoverboard-firmware-hack-FOC: Src/util.c, Src/main.c, Inc/config.h) and shares no code
  * with motord:
  *
- * hoverboard_peer board FD [mixed]              its main board on the master side of a pty. One
+ * hoverboard_peer board FD [mixed]              is the main board, on the master side of a pty. A
  *                                               letter on stdin makes it mute ('m'), spoils its
- *                                               check sums ('x'), or makes it well again ('w').
- *                                               Each change of what it drives is a line on stdout:
- *                                               left and right rpm, 1 when it timed out.
- * hoverboard_peer host PORT FIRST SECOND        a program that drives one: FIRST and SECOND word of
- *                                               the command until stdin ends, then zeros. Each good
- *                                               feedback is a line on stdout: right and left rpm,
+ *                                               check sums ('x'), or makes it normal again ('w').
+ *                                               When its motors change it prints a line: left and
+ *                                               right rpm, and 1 after a time-out.
+ * hoverboard_peer host PORT FIRST SECOND        drives a board: sends FIRST and SECOND word of the
+ *                                               command until stdin ends, then zeros. For each good
+ *                                               feedback it prints a line: right and left rpm,
  *                                               voltage, temperature.
  */
 #include <fcntl.h>
@@ -58,7 +58,7 @@ static int clamp(int value)
     return value > 1000 ? 1000 : value < -1000 ? -1000 : value;
 }
 
-/* A byte of stdin, or 0; the end of stdin ends the program's work. */
+/* Returns a byte of stdin, or 0. Sets `ended` at the end of stdin. */
 static char letter(int *ended)
 {
     struct pollfd in = {.fd = 0, .events = POLLIN};
@@ -79,8 +79,8 @@ static int board(int fd, int mixed)
     for (unsigned loop = 0; !ended; loop++) {
         uint8_t bytes[512];
         const ssize_t size = read(fd, bytes, sizeof bytes);
-        /* The firmware takes what came between two idle moments when it is as long as a command;
-         * here several may have come. */
+        /* The firmware takes the bytes between two idle moments as a command if they are as long as
+         * one. Here several commands may have arrived. */
         for (ssize_t at = 0; size > 0 && size % 8 == 0 && at < size; at += 8) {
             SerialCommand in;
             memcpy(&in, bytes + at, sizeof in);
@@ -100,7 +100,7 @@ static int board(int fd, int mixed)
             fflush(stdout);
             last[0] = left, last[1] = right, last[2] = late;
         }
-        /* the right motor is mounted in reverse, and n_mot is its own */
+        /* the right motor is mounted in reverse, and its measured speed has the motor's own sign */
         if (loop % 2 == 0 && !mute) {
             SerialFeedback out = {.start = START,
                                   .cmd1 = (int16_t)first,
@@ -110,7 +110,7 @@ static int board(int fd, int mixed)
             out.boardTemp = 287;
             out.checksum = (uint16_t)(checksum_of(&out) ^ spoiled);
             if (write(fd, &out, sizeof out) < 0) {
-                timeout += 0; /* no program has the other side open */
+                timeout += 0; /* no program has opened the other end */
             }
         }
         const char what = letter(&ended);
@@ -131,7 +131,7 @@ static void send_command(int fd, int first, int second)
     }
 }
 
-/* As the firmware's own Arduino example reads: a start word anywhere begins a frame. */
+/* Reads like the firmware's own Arduino example: a start word anywhere begins a frame. */
 static void receive(uint8_t byte)
 {
     static uint8_t before, frame[sizeof(SerialFeedback)];

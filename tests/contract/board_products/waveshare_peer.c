@@ -1,11 +1,11 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * waveshare_peer FD: a Waveshare UGV's driver board on the master side of a pty, written from the
- * firmware's sources alone (waveshareteam/ugv_base_ros: json_cmd.h, uart_ctrl.h, ugv_advance.h,
- * movtion_module.h): lines of JSON, wheels that follow at once, odometers in whole centimetres, a
- * heartbeat of 3 s unless T 136 sets another, feedback when T 131 has switched it on. 'm' on stdin
- * makes it mute, 'w' well again. Each change of what it drives is a line on stdout: left and right
- * mm/s, 1 when the heartbeat has stopped it.
+ * waveshare_peer FD: the driver board of a Waveshare UGV, on the master side of a pty. It was
+ * written only from the firmware's sources (waveshareteam/ugv_base_ros: json_cmd.h, uart_ctrl.h,
+ * ugv_advance.h, movtion_module.h): lines of JSON, wheels that follow at once, odometers in whole
+ * centimetres, a heartbeat of 3 s unless T 136 sets another, feedback after T 131 has switched it
+ * on. 'm' on stdin makes it mute, 'w' normal again. When its motors change it prints a line: left
+ * and right mm/s, and 1 after the heartbeat has stopped them.
  */
 #include <fcntl.h>
 #include <poll.h>
@@ -27,7 +27,7 @@ static long now_ms(void)
     return now.tv_sec * 1000 + now.tv_nsec / 1000000;
 }
 
-/* As ArduinoJson reads a number of this name; 0 where it is missing. */
+/* Reads the number with this name like ArduinoJson; 0 if it is missing. */
 static double number_of(const char *line, const char *name)
 {
     const char *found = strstr(line, name);
@@ -76,7 +76,7 @@ static void say(int fd)
                  "\"my\":-87,\"mz\":400,\"odl\":%ld,\"odr\":%ld,\"v\":%d}\r\n",
                  left_m_s, right_m_s, (long)(left_m * 100.0), (long)(right_m * 100.0), 1187);
     if (write(fd, line, (size_t)size) < 0) {
-        usleep(1000); /* no program has the other side open */
+        usleep(1000); /* no program has opened the other end */
     }
 }
 

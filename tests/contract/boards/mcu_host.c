@@ -1,10 +1,10 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * docs/mcu/motord_mcu.c as a board that turns two motors, on the master side of a pty: mcu_host FD.
- * One letter on stdin makes a fault ('f'), ends it ('g'), restarts the board ('r'), makes it mute
- * ('m') or take nothing ('d'), well again ('w'), gives it a sensor ('i') whose x axis points up, or
- * turns its first motor by hand ('t') and releases it ('s'). Each change of what the motors are
- * sent is a line on stdout.
+ * mcu_host FD: docs/mcu/motord_mcu.c as a board with two motors, on the master side of a pty. A
+ * letter on stdin makes a fault ('f') or ends it ('g'), restarts the board ('r'), makes it mute
+ * ('m'), makes it ignore what it receives ('d'), makes it normal again ('w'), gives it a sensor
+ * whose x axis points up ('i'), or turns its first motor by hand ('t') and releases it ('s'). When
+ * the set-points of the motors change it prints a line.
  */
 #include "motord_mcu.h"
 
@@ -112,7 +112,7 @@ int main(int argc, char **argv)
         }
         const size_t length = motord_board_feedback(&board, at_us, measured, &health, sent);
         if (length > 0 && !mute && write(fd, sent, length) < 0) {
-            usleep(1000); /* no program has the other side open */
+            usleep(1000); /* no program has opened the other end */
         }
         put(&board);
     }

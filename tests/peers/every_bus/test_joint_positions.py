@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint positions commanded over a bus to a robot without a base, and what the bus publishes."""
+"""Joint positions that a bus commands to a robot without a base, and those that it publishes."""
 
 import asyncio
 import json

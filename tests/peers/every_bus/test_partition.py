@@ -30,13 +30,13 @@ CUT_S = 30.0
 MISSED_TICKS = 800
 CALM_SAMPLES = 3 * RATE_HZ
 PACE = 0.5
-"""Part of their pace that loop and lines keep without a network, on a busy machine."""
+"""Part of their normal rates that loop and lines keep at least while the network is unreachable."""
 QUEUED_S = 1.0
-"""Age up to which a sample may reach the broker: it was queued when the cable was plugged."""
+"""Maximum age of a sample at the broker: it may have been queued when the cable was plugged."""
 
 
 class Lines:
-    """The output of a program, line by line."""
+    """A program, and each line of its output with the time of its arrival."""
 
     def __init__(self, command, **options):
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **options)
@@ -57,12 +57,12 @@ class Lines:
         self._thread.join()
         self.process.stdout.close()
         if self.process.stdin:
-            with contextlib.suppress(BrokenPipeError):  # a last line that was not read
+            with contextlib.suppress(BrokenPipeError):  # the program did not read the last line
                 self.process.stdin.close()
 
 
 class Network:
-    """The other side of the cable: a broker and a router."""
+    """A broker and a router, in the namespace at the other end of the cable."""
 
     def __init__(self, folder, wire):
         self.folder, self.wire = folder, wire
@@ -155,7 +155,7 @@ def stage(tmp_path_factory, network):
 
 @pytest.fixture(scope="module")
 def bus(stage, network):
-    """motord-bus on its side of the cable: a line of figures a second."""
+    """motord-bus at its end of the cable. It prints a line of figures each second."""
     name = stage.robot.status()["robot"]
     words = [part for row in (f"robot.name={name}", *stage.settings) for part in ("--set", row)]
     command = [*inside(network.wire.here), sys.executable, "-m", "motord.bus", str(ROBOT), *words,
@@ -174,7 +174,7 @@ def lost(bus):
 
 
 def late_s(line):
-    """The age of an odometry sample at its arrival."""
+    """Return the age that an odometry sample had on arrival."""
     came_s, text = line
     sample = json.loads(text)["header"]["stamp"]
     return came_s - sample["sec"] - sample["nanosec"] * 1e-9
@@ -204,7 +204,7 @@ class Pace:
 
 
 class Driving:
-    """Sends commands by MQTT and by Zenoh from the other side of the cable while it is entered."""
+    """Context that sends commands by MQTT and by Zenoh from the other end of the cable."""
 
     def __init__(self, network):
         self._other = network.router.process.stdin
@@ -219,7 +219,7 @@ class Driving:
                 while not self._end.wait(0.1):
                     self._say(writer.stdin)
             except BrokenPipeError:
-                pass  # the broker may be killed
+                pass  # a test killed the broker
             finally:
                 writer.kill()
 
@@ -247,13 +247,13 @@ def set_off(stage, driving):
 
 
 def at_rest(stage):
-    """Also true after a fault that a busy machine caused."""
+    """Return whether the wheels are at rest; also after a fault that a busy machine caused."""
     joints = stage.sim.truth().joints.values()
     return stage.state() != "moving" and all(abs(one.velocity_rad_s) < 0.05 for one in joints)
 
 
 def calm_per_s(stage, network, odometry):
-    """The pace while broker and router both receive odometry."""
+    """Return the rates of loop and lines in 1/s while broker and router both receive odometry."""
     pace, received, sent = Pace(stage), len(odometry.received), len(network.router.received)
     wait_until(lambda: len(odometry.received) > received + CALM_SAMPLES, "odometry by MQTT")
     wait_until(lambda: len(network.router.received) > sent + CALM_SAMPLES, "odometry by Zenoh")

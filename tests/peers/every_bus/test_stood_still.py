@@ -68,7 +68,7 @@ def by_rosbridge(port):
 
 
 def arms(stage):
-    """Resets first: a busy machine may have latched a fault."""
+    """Arm the robot. Reset it before, because a busy machine may have latched a fault."""
     becomes_idle(stage)
     wait_until(lambda: stage.robot.arm(), "armed")
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`linear.y` of every network moves a mecanum base to the left; a base that cannot move sideways
-follows the rest, counts the command and logs it once."""
+"""`linear.y` of every network moves a mecanum base to the left. A base that cannot move sideways
+follows the rest of the command, counts it and logs it once."""
 
 import asyncio
 import contextlib
@@ -65,7 +65,7 @@ def settings(place, folder):
 
 @pytest.fixture(scope="module")
 def place(request, tmp_path_factory):
-    """A robot with an input from every network at once."""
+    """A robot that takes commands from every network of NETWORKS at once."""
     folder = tmp_path_factory.mktemp("strafe")
     made = SimpleNamespace(router_port=free_port(), web_port=free_port(), fox_port=free_port())
     with (
@@ -93,12 +93,12 @@ def leased(stage):
 
 
 async def nothing():
-    """For a peer process, which sends by itself."""
+    """Send nothing, because the peer process sends by itself."""
 
 
 @contextlib.asynccontextmanager
 async def by_dds(place, linear_m_s, lateral_m_s):
-    """Received by the thread in C."""
+    """Send stamped commands, which the receiving thread in C takes."""
     with peer("plane", "rt/stamped/cmd_vel", linear_m_s, lateral_m_s):
         yield nothing
 
@@ -165,7 +165,7 @@ NETWORKS = {
 
 
 async def sent_until(stage, send, condition, what):
-    """Sends until `condition` holds; arms again after a fault that a busy machine caused."""
+    """Send until `condition` holds. Arm again after a fault that a busy machine caused."""
     async with asyncio.timeout(DEADLINE_S):
         while not condition():
             with contextlib.suppress(ClientError):
@@ -179,14 +179,14 @@ async def sent_until(stage, send, condition, what):
 
 @pytest.fixture
 def resting(place):
-    """Armed, with no source in command."""
+    """The robot, armed, with no source in command."""
     wait_until(lambda: not place.stage.robot.status()["leases"], "the command's end")
     with armed(place.stage) as stage:
         yield stage
 
 
 def shift(before, after):
-    """Forward and to the left in m, in the axes of the base before the motion."""
+    """Return the motion forward and to the left in m, in the axes of the base before it."""
     dx_m, dy_m = after.x_m - before.x_m, after.y_m - before.y_m
     cosine, sine = math.cos(before.heading_rad), math.sin(before.heading_rad)
     return dx_m * cosine + dy_m * sine, dy_m * cosine - dx_m * sine
@@ -225,11 +225,11 @@ async def test_a_base_that_cannot_move_sideways_follows_the_rest_and_counts_it(
     forward_m, left_m = shift(before, resting.sim.truth())
     assert abs(left_m) < 0.2 * forward_m
     assert resting.robot.status()["commands"]["sideways"] > counted
-    assert resting.logged().count(CANNOT) == 1  # of all networks together
+    assert resting.logged().count(CANNOT) == 1  # one line for all networks together
 
 
 SLOW_M_S = 0.1
-"""So slow that the overshoot of a busy machine stays within the tolerance."""
+"""Low enough that the overshoot on a busy machine stays within the tolerance."""
 
 
 def asked(direction_rad, distance_m=0.3):
@@ -239,7 +239,7 @@ def asked(direction_rad, distance_m=0.3):
 
 
 def carried_out(stage, direction_rad):
-    """The pose before, the result and the feedback; repeated like `in_time` if held up."""
+    """Return the pose before, the result and the feedback of the action; repeat it if held up."""
     for _ in range(TRIES):
         with armed(stage), asked(direction_rad) as client:
             before = stage.sim.truth()

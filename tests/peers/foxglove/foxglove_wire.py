@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client of the Foxglove protocol (foxglove/ws-protocol, docs/spec.md), message by message."""
+"""A client of the Foxglove protocol (foxglove/ws-protocol, docs/spec.md) for single messages."""
 
 import asyncio
 import contextlib
@@ -13,7 +13,7 @@ SUBPROTOCOL = "foxglove.sdk.v1"
 
 
 class Wire:
-    """A connection. `services` and `channels`: what was advertised until now, by name."""
+    """A connection. `services` and `channels`: all that the server has advertised, by name."""
 
     def __init__(self, socket):
         self._socket = socket
@@ -21,7 +21,7 @@ class Wire:
         self.services, self.channels = {}, {}
 
     async def received(self, op, fits=lambda message: True):
-        """The next message that fits; advertisements before it are kept."""
+        """Return the next `op` message that fits; record the advertisements before it."""
         while True:
             raw = await self._socket.recv()
             if isinstance(raw, bytes):
@@ -37,7 +37,7 @@ class Wire:
                 return message
 
     async def advertised(self, count):
-        """Waits for `count` channels; returns them by topic."""
+        """Wait until `count` channels are advertised; return all by topic."""
         while len(self.channels) < count:
             await self.received("advertise")
         return self.channels
@@ -46,7 +46,7 @@ class Wire:
         await self._socket.send(json.dumps({"op": op} | more))
 
     async def call(self, service, **request):
-        """The answer of the service."""
+        """Call the service and return its answer."""
         while f"/{service}" not in self.services:
             await self.received("advertiseServices")
         number = next(self._numbers)
@@ -71,7 +71,7 @@ class Wire:
         await self._socket.send(struct.pack("<BI", MESSAGE_DATA, channel) + raw)
 
     async def parameters(self, op, **more):
-        """The answer to getParameters or setParameters: values by name."""
+        """Send `op`, getParameters or setParameters; return the values of the answer by name."""
         number = f"p{next(self._numbers)}"
         await self.send(op, id=number, **more)
         answer = await self.received("parameterValues", lambda answer: answer.get("id") == number)
@@ -80,7 +80,7 @@ class Wire:
 
 @contextlib.asynccontextmanager
 async def wired(port, tls=None):
-    """A connection, retried until the server listens. `tls`: a context for its certificate."""
+    """Connect as soon as the server listens. `tls`: the SSL context; without, no encryption."""
     while True:
         try:
             socket = await connect(

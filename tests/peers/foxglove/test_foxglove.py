@@ -21,7 +21,7 @@ from motord.bus.messages.topics import TOPICS
 MODULES = ROOT / "build/node/node_modules"
 OWN_CLIENT = MODULES / "@foxglove/ws-protocol"
 OFFERED = {name: topic for name, topic in TOPICS.items() if name != "imu"}
-"""The demonstration's robot has no IMU."""
+"""Topics that the server offers: all but `imu`, as the demonstration robot has no IMU."""
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_foxgloves_own_client_reads_every_channel(stage, port):
             ["node", str(program), f"ws://127.0.0.1:{port}", str(MODULES)],
             capture_output=True, timeout=2 * DEADLINE_S,
         )  # fmt: skip
-        return json.loads(run.stdout) if run.stdout else None  # None: it came too early
+        return json.loads(run.stdout) if run.stdout else None  # None: the server did not listen yet
 
     found = wait_until(ran, "what the client saw")
     assert found["server"]["name"] == stage.robot.status()["robot"]
@@ -94,7 +94,7 @@ async def test_a_client_that_stops_reading_does_not_disturb_the_others(stage, po
 
 
 async def test_each_new_subscriber_gets_the_robot_description(stage, port):
-    for _ in range(2):  # the second client too
+    for _ in range(2):  # the server sends it to a second client, too
         async with asyncio.timeout(DEADLINE_S), wired(port) as client:
             channels = await client.advertised(len(OFFERED) + 1)
             channel = {"id": 9, "channelId": channels["/robot_description"]["id"]}

@@ -48,13 +48,13 @@ async def let_in(client):
 
 
 async def armed(client, **token):
-    """Retried: a drive may look unresponsive on a busy machine, or another lease still lives."""
+    """Arm; repeat while a drive of a busy machine is unresponsive or another lease still lives."""
     while not (await client.call("arm", **token))["success"]:
         await client.call("reset", **token)
 
 
 async def driven(stage, client, channel, message, **token):
-    """Publishes until the robot moves."""
+    """Publish `message` until the robot moves; arm the robot when it is not armed."""
     while (state := stage.state()) != "moving":
         if state != "armed":
             await armed(client, **token)
@@ -63,7 +63,7 @@ async def driven(stage, client, channel, message, **token):
 
 
 async def complaint(client, about, ask):
-    """The server's warning about `about`; `ask` is repeated, because warnings are rate-limited."""
+    """Return the server's warning about `about`. Repeat `ask`: warnings are rate-limited."""
     while True:
         await ask()
         with contextlib.suppress(TimeoutError):
@@ -103,14 +103,14 @@ async def test_an_authorized_client_drives_and_its_lease_lapses_when_it_disconne
 ):
     stage.robot.disarm()
     async with asyncio.timeout(2 * DEADLINE_S):
-        while stage.state() != "armed":  # again when a busy machine has latched a fault
+        while stage.state() != "armed":  # repeated if a busy machine latches a fault
             async with wired(port) as client:
                 await let_in(client)
                 channel = await client.advertise(topic)
                 await driven(stage, client, channel, message)
                 (lease,) = stage.robot.status()["leases"]
                 assert lease["owner"] == "fox"
-            stage.wait_for("armed", "fault")  # no source sent zero
+            stage.wait_for("armed", "fault")  # the lease lapsed: no source commanded zero
         async with wired(port) as client:
             await client.call("disarm", token=TOKEN)
 
@@ -171,7 +171,7 @@ async def test_other_clients_do_not_push_out_the_one_in_command(stage, port):
             async with wired(port) as other:
                 for _ in range(100):
                     await other.advertise("/cmd_vel")
-                await other.call("reset_odometry")  # the channels were read
+                await other.call("reset_odometry")  # the server has read the channels
                 for _ in range(20):
                     await let_in(other)
             await obeyed()
@@ -185,7 +185,7 @@ async def test_a_channel_that_cannot_be_published_is_reported(stage, port, topic
 
 
 def of(value):
-    """Whether the one requested parameter has this value."""
+    """Return a check: whether the one parameter of an answer has this value."""
     return lambda answer: [one["value"] for one in answer["parameters"]] == [value]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A broker without passwords."""
+"""The MQTT broker of these tests, which takes clients without a password."""
 
 import pytest
 from tests.peers.mqtt.mosquitto import broker

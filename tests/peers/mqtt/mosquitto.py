@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real broker (Eclipse Mosquitto) in a process of its own, and its own clients."""
+"""An MQTT broker (Eclipse Mosquitto) in its own process, and Mosquitto's own client programs."""
 
 import contextlib
 import json
@@ -33,9 +33,9 @@ class Broker:
     port: int
     process: subprocess.Popen = None
     options: tuple = ()
-    """Options with which its clients may connect."""
+    """Options of mosquitto_pub and mosquitto_sub with which they connect."""
     lines: tuple = ()
-    """More lines of its configuration."""
+    """Lines to add to the configuration of the broker."""
     readers: list = field(default_factory=list)
 
     def start(self):
@@ -68,7 +68,7 @@ class Broker:
         )  # fmt: skip
 
     def get(self, topic, *more):
-        """The next message of a topic: retained or new."""
+        """Return the retained message of a topic; without one, wait for the next message."""
         run = subprocess.run(
             ["mosquitto_sub", "-p", str(self.port), "-t", topic, "-C", "1",
              "-W", str(int(DEADLINE_S)), *self.options, *more],
@@ -88,13 +88,13 @@ def broker(folder, *lines, options=()):
 
 
 def stamp(age_s=0.0):
-    """The header of a command that is `age_s` old."""
+    """Return the header of a command that is `age_s` old."""
     sec, rest = divmod(time.time() - age_s, 1.0)
     return {"stamp": {"sec": int(sec), "nanosec": int(rest * 1e9)}, "frame_id": ""}
 
 
 def certified(folder, name="DNS:localhost"):
-    """Makes a certificate authority and its certificate for that name."""
+    """Make a certificate authority in `folder`, and a certificate of it for the host `name`."""
 
     def openssl(*words):
         subprocess.run(["openssl", *words], check=True, cwd=folder, capture_output=True, timeout=60)
@@ -109,7 +109,7 @@ def certified(folder, name="DNS:localhost"):
 
 
 def with_password(folder):
-    """Adds a user to the broker, and writes the password file."""
+    """Write the broker's file of users, with the user r2, and motord's file of the password."""
     (folder / "password").write_text("secret\n", encoding="ascii")
     (folder / "password").chmod(0o600)
     subprocess.run(

@@ -24,7 +24,7 @@ LEASE_S = 1.0
 ANSWER_WITHIN_S = 10.0
 READER = ("mosquitto_sub", "-W", f"{DEADLINE_S:.0f}", "-v",
           "-t", "site/r2/answer", "-t", "site/r2/odom")  # fmt: skip
-"""Reads answers, and odometry, which shows that it is subscribed; ends with a silent broker."""
+"""Command that prints answers and odometry. The first line shows that it is subscribed."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def inputs(stage):
 
 
 def ready(stage, but=None):
-    """Waits until a motord-bus other than process `but` has its lease."""
+    """Wait until motord-bus has its lease, in another process than `but`."""
     wait_until(
         lambda: (
             stage.robot.status()["bus"]["pid"] not in (None, but)
@@ -66,12 +66,12 @@ def accepted(stage):
 
 
 def called(stage, peer, method, **more):
-    """Call a method by the broker, and wait for the answer; repeated where the broker had just lost
-    motord-bus, as after a test that hung it."""
+    """Call a method through the broker and return the answer. Repeat it without an answer:
+    the broker may have just lost motord-bus, as after a test that stopped the process."""
     number, asked_s = os.urandom(4).hex(), -math.inf
     with subprocess.Popen([*READER, "-p", str(peer.port)], stdout=subprocess.PIPE) as reader:
         try:
-            for line in reader.stdout:  # a first message shows that it is subscribed
+            for line in reader.stdout:  # the first message shows that the reader is subscribed
                 if time.monotonic() - asked_s > ANSWER_WITHIN_S:
                     asked_s = time.monotonic()
                     call = {"token": TOKEN, "method": method, "id": number} | more
@@ -90,7 +90,7 @@ def twist(linear_m_s, age_s=0.0, **more):
 
 
 class Driving:
-    """Commands the robot by the broker while it is entered."""
+    """Context that commands the robot through the broker."""
 
     def __init__(self, peer, linear_m_s):
         self._peer, self._linear_m_s = peer, linear_m_s
@@ -123,7 +123,7 @@ class Driving:
 
 
 def armed(stage, peer):
-    """Arms by the broker; retried, because a drive may look unresponsive on a busy machine."""
+    """Arm through the broker. Repeat, because a drive may be unresponsive on a busy machine."""
 
     def attempt():
         method = {"fault": "reset", "estop": "reset", "idle": "arm"}.get(stage.state())
@@ -195,12 +195,12 @@ def test_a_client_with_the_token_commands_wheels_by_joint_name(stage, peer):
         return stage.state() == "moving"
 
     wait_until(moving, "the wheels turn", 2 * DEADLINE_S)
-    stage.wait_for("armed", "fault")  # a fault of a busy machine
+    stage.wait_for("armed", "fault")  # "fault": latched by a busy machine
 
 
 def refusal_of(stage, peer, topic, command):
-    """Sends the command until its refusal is counted: while motord-bus reconnects on a busy
-    machine, the broker keeps no command."""
+    """Send the command until its refusal is counted. The broker drops a command while motord-bus
+    reconnects, as on a busy machine."""
     refused = inputs(stage)["fleet"]["refused"]
 
     def attempt():
@@ -298,7 +298,7 @@ def test_an_emergency_stop_behind_many_calls_stops_and_every_call_is_answered(st
     calls.append({"token": TOKEN, "method": "estop", "id": names[-1]})
     with subprocess.Popen([*READER, "-p", str(peer.port)], stdout=subprocess.PIPE) as reader:
         try:
-            reader.stdout.readline()  # a first message shows that it is subscribed
+            reader.stdout.readline()  # the first message shows that it is subscribed
             subprocess.run(
                 ["mosquitto_pub", "-p", str(peer.port), "-t", "site/r2/call", "-q", "1", "-l"],
                 input="\n".join(map(json.dumps, calls)).encode(), check=True, timeout=30,
@@ -346,7 +346,7 @@ def test_the_lease_lapses_when_motord_bus_hangs_or_dies_while_it_commands(stage,
         stage.wait_for("armed")
         assert stage.robot.status()["loop"]["ticks"] > ticks
     if number == signal.SIGSTOP:
-        os.kill(pid, signal.SIGKILL)  # sooner than the daemon would
+        os.kill(pid, signal.SIGKILL)  # the daemon would kill it later
     ready(stage, but=pid)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sparkplug's names on Eclipse Mosquitto: births, deaths, data and commands."""
+"""The Sparkplug format of MQTT on Eclipse Mosquitto: births, deaths, data and commands."""
 
 import json
 import os
@@ -86,11 +86,11 @@ def test_dcmd_carries_commands_and_ncmd_carries_calls(stage, peer):
         return stage.state() == "moving"
 
     wait_until(moving, "the robot moves", 2 * DEADLINE_S)
-    stage.wait_for("armed", "fault")  # a fault of a busy machine
+    stage.wait_for("armed", "fault")  # "fault": latched by a busy machine
 
 
 def test_a_killed_process_leaves_the_death_of_its_last_birth(stage, peer):
-    """Birth and death are both retained, and show a late client that the process is gone."""
+    """Birth and death are retained: a client that connects later sees that the process is gone."""
     born = retained(peer, f"spBv1.0/site/NBIRTH/{name(stage)}")["bdSeq"]
     pid = stage.robot.status()["bus"]["pid"]
     os.kill(pid, signal.SIGKILL)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Resets the robot between tests. Each file has a `stage` of its own."""
+"""Fixtures that reset the robot between tests. Each test file has its own `stage`."""
 
 import pytest
 from tests.peers.ros2.ros2_stage import called, settle

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A ROS 2 node of another make, in a process of its own: types written by hand, encoded by the DDS
-library itself. It shares nothing with motord.
+"""A ROS 2 node that shares no code with motord, in its own process. Its types are written by hand,
+and the DDS library encodes them.
 
     ros2_peer.py DOMAIN topic NAME TYPE [late]   a line of JSON for each sample
     ros2_peer.py DOMAIN drive NAME V W [AGE_S [NODE]]   20 TwistStamped a second; age "zero": the
@@ -9,14 +9,14 @@ library itself. It shares nothing with motord.
                                                  for the line `old`, one that is a minute old
     ros2_peer.py DOMAIN frame NAME CHARS         20 TwistStamped a second, with a frame_id of CHARS
     ros2_peer.py DOMAIN plane NAME VX VY [plain]   20 TwistStamped a second, or Twist
-    ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, by a clock ahead of ours; a
-                                                 line on standard input: sent 3 s ago from now on
+    ros2_peer.py DOMAIN twist NAME V W [AHEAD_S] 20 Twist a second, with source timestamps AHEAD_S
+                                                 ahead; after a line on stdin: 3 s less
     ros2_peer.py DOMAIN joints NAME JOINT=SPEED ... [AGE_S]   20 JointState a second
     ros2_peer.py DOMAIN say NAME TEXT [best [NODE]]  one String, repeatedly; best: best effort
     ros2_peer.py DOMAIN calls                    for each line on stdin, [NAME, TYPE, VALUES] in
                                                  JSON, one request; its reply as JSON
     ros2_peer.py DOMAIN act NAME TYPE [JSON]     one goal: accepted, feedback, result, each as JSON;
-                                                 a line on standard input: cancel it
+                                                 a line on standard input cancels the goal
     ros2_peer.py DOMAIN endpoints                a line of JSON for each endpoint that is seen
 """
 
@@ -79,7 +79,7 @@ _saying = threading.Lock()
 
 
 def say(value):
-    """Print a line of JSON. The lock keeps lines whole: two threads report a goal."""
+    """Print a line of JSON. The lock keeps lines whole, because several threads print."""
     with _saying:
         print(json.dumps(value, default=list), flush=True)
 
@@ -95,7 +95,7 @@ def topic(participant, name, kind, late=""):
 
 
 _keep = []
-"""Entities of DDS that live as long as this process."""
+"""DDS entities that have to live as long as this process: without a reference they end."""
 
 
 def _in_the_graph(participant, node, writer):
@@ -192,7 +192,7 @@ def _say_text(participant, name, text, best="", node=""):
 
 
 def _built(kind, values):
-    """From plain values, nested."""
+    """Make a message of type `kind` from values in dictionaries and lists."""
     hints = {"parameters": Parameter, "value": ParameterValue, "transition": Transition}
     made = {}
     for key, value in values.items():
@@ -205,7 +205,7 @@ def _built(kind, values):
 
 
 def _service_id(endpoint):
-    if endpoint is None:  # the endpoint has just left
+    if endpoint is None:  # the endpoint has just ended
         return None
     data = [policy.data for policy in endpoint.qos if isinstance(policy, Policy.Userdata)]
     pairs = dict(pair.split(b"=") for pair in b"".join(data).split(b";") if pair)
@@ -213,7 +213,7 @@ def _service_id(endpoint):
 
 
 class Caller:
-    """A service's client."""
+    """A client of a service."""
 
     def __init__(self, participant, name, request, reply):
         mark = b"clientid=" + ".".join(f"{byte:x}" for byte in uuid.uuid4().bytes).encode() + b";"
@@ -233,7 +233,7 @@ class Caller:
         self._number = 0
 
     def _available(self):
-        """The rule of rmw_cyclonedds: a reader and a writer have the same `serviceid`."""
+        """Return whether a server is there: a reader and a writer with the same `serviceid`."""
         readers = map(
             self._writer.get_matched_subscription_data, self._writer.get_matched_subscriptions()
         )
@@ -289,7 +289,7 @@ def act(participant, name, kind, values="{}"):
         threading.Thread(target=work, daemon=True).start()
     outcome = result.ask(goal_id=goal_id)
     say({"status": outcome.status, "result": dataclasses.asdict(outcome.result)})
-    while True:  # until it is killed: it still reads standard input
+    while True:  # until the test kills it; a thread still reads standard input
         time.sleep(1.0)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""type_description_interfaces of another node, in addition to ros2_peer_types.py."""
+"""Types of type_description_interfaces for ros2_peer.py, in addition to ros2_peer_types.py."""
 
 from dataclasses import dataclass
 

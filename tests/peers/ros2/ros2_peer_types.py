@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of ROS 2 for another node: written by hand, encoded by the DDS library."""
+"""Message types of ROS 2 for ros2_peer.py, written by hand. The DDS library encodes them."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -355,7 +355,7 @@ class CancelReply(IdlStruct, typename="action_msgs::srv::dds_::CancelGoal_Respon
 
 
 def _action(name, goal, result, feedback):
-    """The messages of an action with these parts."""
+    """Return the message types of an action whose goal, result and feedback have these fields."""
 
     def made(ending, fields):
         return make_idl_struct(name + ending, f"motord_msgs::action::dds_::{name}{ending}_", fields)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A daemon among ROS 2 nodes, and programs of another make that connect to it."""
+"""A daemon with ROS 2, and programs without code of motord that connect to it."""
 
 import contextlib
 import json
@@ -14,16 +14,16 @@ from tests.sim.daemon_stage import PATIENT, running, wait_until
 from motord.client import ClientError
 
 PEER = (sys.executable, "-m", "tests.peers.ros2.ros2_peer")
-DOMAIN = 100 + os.getpid() % 100  # separate for suites that run side by side
+DOMAIN = 100 + os.getpid() % 100  # differs between test runs side by side
 NAMESPACE = "/r2"
 LEASE_S = 1.0
 NICENESS = 10
-"""Of peers, so that the robot runs first."""
+"""Niceness of the peers: the robot has precedence over them on a busy machine."""
 
 
 @contextlib.contextmanager
 def ros2_stage(folder, *more, environ=None):
-    """A daemon that publishes to ROS 2 and takes commands from it."""
+    """Run a daemon that publishes to ROS 2 and takes commands from it."""
     settings = (
         "publish.ros2.kind=ros2", f"publish.ros2.domain_id={DOMAIN}",
         f"publish.ros2.namespace={NAMESPACE}", "publish.ros2.rate_hz=20",
@@ -45,7 +45,7 @@ def inputs(stage):
 
 
 class Peer:
-    """A program of another make; reads its output line by line."""
+    """A running program without code of motord. A thread decodes its output line by line."""
 
     def __init__(self, command, decode):
         self.process = subprocess.Popen(
@@ -86,7 +86,7 @@ def peer(*words, program=PEER, decode=json.loads):
 
 
 class Caller:
-    """A node that calls services: one process for all calls, as a panel's is."""
+    """A node that calls services: one process for all calls, like an operator's panel."""
 
     def __init__(self):
         self._peer = None
@@ -103,7 +103,7 @@ class Caller:
             raise
 
     def leave(self):
-        """End the process: the next call starts one that has to discover the robot anew."""
+        """End the process. The next call starts another one, which discovers the robot anew."""
         if self._peer is not None:
             self._peer.close()
         self._peer = None
@@ -121,7 +121,7 @@ def no_source_commands(stage):
 
 
 def settle(stage):
-    """Disarmed and ready, also after a fault that a busy machine caused."""
+    """Disarm, or reset a fault that a busy machine caused, until the robot is idle."""
     no_source_commands(stage)
 
     def settled():

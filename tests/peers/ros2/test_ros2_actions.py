@@ -28,21 +28,21 @@ ZERO = {
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ros2")
-    precise = ("loop.rate_hz=250", "line.rs485.cycle_hz=50")  # distances are measured
+    precise = ("loop.rate_hz=250", "line.rs485.cycle_hz=50")  # tests measure distances
     with ros2_stage(folder, "input.person.kind=socket", *precise) as stage:
         yield stage
 
 
 @contextlib.contextmanager
 def goal(name, **values):
-    """A client that has sent its goal; `accepted` is the answer."""
+    """Start a client that sends a goal; its `accepted` is the answer."""
     asked = json.dumps(ZERO[name] | values)
     with peer("act", f"{NAMESPACE}/{name}", NAMES[name], asked) as client:
         client.accepted = client.find(lambda one: "accepted" in one, "an answer")["accepted"]
         try:
             yield client
         except AssertionError:
-            if client.accepted:  # it does not disturb the next test
+            if client.accepted:  # so that the goal does not disturb the next test
                 client.say("cancel")
                 client.find(lambda message: "canceling" in message, "an answer")
             raise
@@ -203,7 +203,7 @@ def test_the_loss_of_motord_bus_brings_the_robot_to_rest(armed, number):
     with goal("drive_distance", distance_m=20.0):
         wait_for_motion(armed)
         pid = wait_until(lambda: bus_pid(armed), "the bus process")
-        caller.leave()  # it would still count the killed process as a server
+        caller.leave()  # it would count the killed process as a server still
         os.kill(pid, number)
         at_rest(armed)
         armed.wait_for("armed")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS 2 against another DDS participant in another process, which speaks as rmw_cyclonedds does."""
+"""ROS 2 on DDS, with a participant in another process that follows rmw_cyclonedds."""
 
 import hashlib
 import json
@@ -30,7 +30,7 @@ def stage(tmp_path_factory):
 
 
 def released(stage):
-    """Resets by the service; repeated where a busy machine delayed a stop request."""
+    """Reset through the service. Repeat it, because a busy machine may delay a stop request."""
     wait_until(lambda: called("reset")["success"] and stage.state() == "idle", "idle")
 
 
@@ -198,7 +198,7 @@ def test_transforms_are_on_the_shared_topic_with_the_robots_own_frames(stage):
 
 def test_the_graph_shows_one_node_with_all_its_endpoints(stage):
     with peer("topic", "ros_discovery_info", "Entities", "late") as ear:
-        # Other nodes may be in the domain: a test's node ends with its last reference.
+        # The node of an earlier test may still be in the domain until its last reference goes.
         (node,) = ear.find(
             lambda found: [
                 node
@@ -218,7 +218,7 @@ def test_every_endpoint_shows_its_type_and_its_hash(stage):
         arm = eye.find(
             lambda found: (
                 found["topic"].endswith("motord/armRequest")
-                and not found["user_data"].startswith("clientid=")  # of its callers
+                and not found["user_data"].startswith("clientid=")  # not an endpoint of a client
             ),
             "arm",
         )
@@ -234,7 +234,7 @@ def describe(type_hash, **more):
 
 
 def hash_of(description):
-    """The hash of a TypeDescription by REP-2011."""
+    """Compute the hash of a TypeDescription by REP-2011."""
     described = json.loads(json.dumps(description))
     for one in (described["type_description"], *described["referenced_type_descriptions"]):
         for field in one["fields"]:
@@ -382,7 +382,7 @@ def test_absurd_commands_move_nothing_and_are_counted_with_their_sender(armed, s
     before, x_m = count(), armed.sim.truth().x_m
     with peer("drive", f"rt{NAMESPACE}/cmd_vel", speed_m_s, 0.0, 0, "broken"):
         wait_until(lambda: count() > before + 10, "refusals")
-        # Its name may arrive later than its first command.
+        # The name of the node may arrive later than its first command.
         wait_until(lambda: "input.ros2: /broken requests " in armed.logged(), "its name")
     assert armed.sim.truth().x_m == x_m
 

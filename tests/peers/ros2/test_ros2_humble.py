@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The graph of Humble, read by a participant with Humble's definition."""
+"""The graph of Humble, read by a participant with Humble's message definition."""
 
 import pytest
 from tests.peers.ros2.ros2_stage import NAMESPACE, peer, ros2_stage

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The launch file, run by launch and launch_ros where they are installed, and by a stand-in of them
+"""The launch file. launch and launch_ros run it where they are installed, a stand-in of them
 elsewhere."""
 
 import importlib.util
@@ -98,8 +98,8 @@ signal.pause()
 
 @pytest.fixture
 def launched(tmp_path):
-    """Launches the file with arguments. Returns the bridge's command line, and the texts of its
-    parameter files."""
+    """Return a function that launches the file with arguments. It returns the bridge's command line
+    and the texts of its parameter files."""
     environ = {**os.environ, **ENVIRON, "ROS_LOG_DIR": str(tmp_path / "log"),
                "AMENT_PREFIX_PATH": str(tmp_path), "FOUND": str(tmp_path / "found")}  # fmt: skip
     imported = subprocess.run(

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS 2 package of the bridge node: built by colcon and by pip, and found by ROS 2's index. Its
-Python has only the standard library and rclpy, or the stand-in of it."""
+"""The ROS 2 package of the bridge node: built by colcon and by pip, and found by ROS 2's index. It
+needs only the standard library and rclpy, or the stand-in of it."""
 
 import ast
 import os
@@ -42,7 +42,7 @@ def run(*words, **options):
 
 @pytest.fixture(scope="module")
 def by_pip(tmp_path_factory):
-    """A virtual environment with that one package; its Python."""
+    """The Python program of a virtual environment in which only that package is installed."""
     folder = tmp_path_factory.mktemp("pip")
     source = shutil.copytree(SOURCE, folder / "source", symlinks=False)
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check")
@@ -55,7 +55,7 @@ def by_pip(tmp_path_factory):
 
 
 def program(prefix):
-    """What `ros2 run` looks for."""
+    """Return the program that `ros2 run` starts."""
     found = prefix / f"lib/{PACKAGE}/bridge"
     assert os.access(found, os.X_OK)
     return found

@@ -37,7 +37,7 @@ def bus(stage):
 
 
 def judged(stage):
-    """Commands that reached the daemon's loop, and how many of them it refused for their age."""
+    """Return the number of commands at the daemon's loop without old ones, and that of old ones."""
     commands = stage.robot.status()["commands"]
     old = commands["refused"]["age"]
     return commands["accepted"] + sum(commands["refused"].values()) - old, old
@@ -52,7 +52,7 @@ def test_c_receives_the_commands(stage):
 
 
 def test_only_the_receiving_thread_has_real_time_priority(stage):
-    """The unit's LimitRTPRIO permits it; here the test sets it from outside."""
+    """LimitRTPRIO of the systemd unit permits that priority. Here the test sets it from outside."""
     set_policy(os.SCHED_FIFO, REALTIME_PRIORITY_MAX, bus(stage))
     tasks = Path(f"/proc/{bus(stage)}/task").iterdir()
     found = {
@@ -81,7 +81,7 @@ def test_a_command_refused_by_the_gate_is_counted_and_moves_nothing(stage, words
     def refused(count):
         return wait_until(lambda: (now := ours(stage))["refused"] > before + count and now, why)
 
-    with peer(*words):  # motord-bus reports now and then: the first one may be of the test before
+    with peer(*words):  # the first count may be from the test before
         assert refused(0)["sent"] == refused(5)["sent"]
     assert stage.sim.truth().x_m == x_m
 
@@ -105,7 +105,7 @@ def test_a_command_refused_by_the_daemon_is_counted_there_and_moves_nothing(
 
 
 def test_commands_by_dds_and_by_python_go_out_under_one_lease(stage):
-    """Joint commands pass through Python, cmd_vel through C: no sequence number is used twice."""
+    """Joint commands pass through Python, cmd_vel through C. No sequence number is used twice."""
 
     def out_of_order():
         return stage.robot.status()["commands"]["refused"]["sequence"]
@@ -121,7 +121,7 @@ def test_commands_by_dds_and_by_python_go_out_under_one_lease(stage):
 
 
 def test_commands_stop_while_python_stands_still_and_resume_with_it(stage):
-    """A process whose Python stands still would not receive an emergency stop by ROS 2."""
+    """A process whose Python is blocked would not receive an emergency stop by ROS 2."""
 
     def accepted():
         return stage.robot.status()["commands"]["accepted"]
@@ -144,7 +144,7 @@ def test_commands_stop_while_python_stands_still_and_resume_with_it(stage):
 
 @pytest.fixture
 def busy(stage):
-    """Pure-Python threads in motord-bus."""
+    """Keep motord-bus busy with threads of pure Python."""
     pid = bus(stage)
     before = threads(pid)
     os.kill(pid, signal.SIGUSR1)
@@ -154,10 +154,10 @@ def busy(stage):
 
 
 def pass_through(stage, writer):
-    """Wait until a command of this writer reaches the daemon. A writer that has found its reader
-    may not be known to the reader yet, and a lease may still be missing. Old commands are sent
-    until one is refused, so those that come late are not counted with the bursts. The reader keeps
-    8 samples, so they must not pile up before a burst."""
+    """Wait until a command of this writer reaches the daemon. The writer may have found the reader
+    before the reader has found it, and a lease may still be missing. The writer sends old commands
+    until one is refused: old ones are not counted with the bursts. It sends one a second, because
+    the reader keeps 8 samples, and old ones must not fill these before a burst."""
     writer.find(lambda word: word == "received", "a reader")
     before, next_s = judged(stage)[1], 0.0
 

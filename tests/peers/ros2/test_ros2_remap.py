@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics and services under other names than their own."""
+"""Topics and services under the names that `remap` gives them."""
 
 import pytest
 from tests.peers.ros2.ros2_stage import NAMESPACE, called, peer, ros2_stage, settle

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// A participant on eProsima Fast DDS, with its types written by hand on Fast CDR. It shares nothing with motord.
-//   fastdds_peer DOMAIN odom TOPIC           a line "x v frame child" for each nav_msgs/Odometry
-//   fastdds_peer DOMAIN drive TOPIC V W      20 geometry_msgs/TwistStamped a second
-//   fastdds_peer DOMAIN joints TOPIC L R     20 sensor_msgs/JointState a second: velocities of "left" and "right"
-//   fastdds_peer DOMAIN text TOPIC           the beginning of each latched std_msgs/String
-//   fastdds_peer DOMAIN say TOPIC TEXT NODE  20 std_msgs/String a second, from NODE in the graph
-//   fastdds_peer DOMAIN ask NAME NODE        a client of the service NAME (std_srvs/Trigger) as rmw_fastrtps makes it, of
-//                                            a node; 20 requests a second, and "READERS WRITERS" of it that it has met
+// A participant on eProsima Fast DDS. Its types are written by hand for Fast CDR. It shares no code with motord.
+//   fastdds_peer DOMAIN odom TOPIC           prints a line "x v frame child" for each nav_msgs/Odometry
+//   fastdds_peer DOMAIN drive TOPIC V W      sends 20 geometry_msgs/TwistStamped a second
+//   fastdds_peer DOMAIN joints TOPIC L R     sends 20 sensor_msgs/JointState a second: velocities of "left" and "right"
+//   fastdds_peer DOMAIN text TOPIC           prints the beginning of each latched std_msgs/String
+//   fastdds_peer DOMAIN say TOPIC TEXT NODE  sends 20 std_msgs/String a second, from NODE in the graph
+//   fastdds_peer DOMAIN ask NAME NODE        is a client of the service NAME (std_srvs/Trigger) as rmw_fastrtps makes it, in
+//                                            NODE; sends 20 requests a second, and prints "READERS WRITERS" that it has found
 // c++ -std=c++17 fastdds_peer.cpp -o fastdds_peer -lfastrtps -lfastcdr     (apt install libfastrtps-dev)
 #include <algorithm>
 #include <array>
@@ -67,12 +67,12 @@ struct JointState {
 };
 
 struct String {
-    Header header; // not sent
+    Header header; // is not sent
     std::string data;
     static const char *type() { return "std_msgs::msg::dds_::String_"; }
 };
 
-// A request without fields has one byte. The message is accompanied by the identity of its sender.
+// A request without fields has one byte. The identity of its sender is sent with the message.
 struct TriggerRequest {
     uint8_t nothing = 0;
     static const char *type() { return "std_srvs::srv::dds_::Trigger_Request_"; }
@@ -178,7 +178,7 @@ template <typename Message> class Type : public TopicDataType {
     bool getKey(void *, InstanceHandle_t *, bool) override { return false; }
 };
 
-// Discovers this machine alone, and the first four participants on it.
+// Discovers only the first four participants on this machine.
 static DomainParticipant *participant(unsigned domain)
 {
     auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
@@ -231,7 +231,7 @@ static std::array<uint8_t, 16> gid(const eprosima::fastrtps::rtps::GUID_t &guid)
     return made;
 }
 
-// In the graph: a node with these endpoints.
+// Publishes a node with these endpoints in the graph.
 static void tell(DomainParticipant *of, Publisher *publisher, const char *node, const DataReader *reader, const DataWriter *writer)
 {
     DataWriterQos qos;

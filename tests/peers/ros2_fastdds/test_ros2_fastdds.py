@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS 2 topics against another DDS implementation: eProsima Fast DDS, in C++."""
+"""ROS 2 topics exchanged with another DDS implementation: eProsima Fast DDS, in C++."""
 
 import shutil
 import subprocess
@@ -80,7 +80,7 @@ def test_a_writer_of_another_type_is_named(fast, stage):
 
 
 def test_the_estop_topic_stops_the_robot_and_names_the_node(fast, stage):
-    """For a client that gets no answer from a service, as below."""
+    """The topic serves clients that cannot call a service (the test of availability below)."""
     reason = "input.ros2: by /watcher: 'a person is too close' (process "
     with fast("say", f"rt{NAMESPACE}/motord/estop", "a person is too close", "watcher"):
         stage.wait_for("estop")
@@ -102,7 +102,7 @@ def counts(line):
 
 
 def test_a_service_is_not_available_to_a_client_that_could_not_read_its_answer(program, stage):
-    """To rmw_fastrtps a service is available where it has as many writers of replies as readers of
+    """rmw_fastrtps takes a service for available if it has as many writers of replies as readers of
     requests (rmw_service_server_is_available.cpp)."""
     settle(stage)
     client = ("ask", f"{NAMESPACE}/motord/arm", "panel")
@@ -113,5 +113,5 @@ def test_a_service_is_not_available_to_a_client_that_could_not_read_its_answer(p
         assert called("disarm")["success"]  # other middleware has no such rule
     assert stage.logged().count("/panel (Fast DDS)") == 1
     assert "RMW_IMPLEMENTATION=rmw_cyclonedds_cpp" in stage.logged()
-    assert "deserialization" not in stage.logged()  # the library logs a line for each request
+    assert "deserialization" not in stage.logged()  # the library would log it for each request
     assert stage.state() == "idle"

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """MOTORD_ROS= python -m tests.peers.ros2_rclpy.make_motord_msgs FOLDER
 
-Builds motord_msgs, as `motord ros2-msgs` writes it, into an environment of ROS 2 wheels. The wheels
+Build motord_msgs, as `motord ros2-msgs` writes it, into an environment of ROS 2 wheels. The wheels
 have the generators of rosidl but no ament_cmake: `rosidl generate` writes the sources, and this
-program compiles them for the two type supports that rmw_fastrtps_cpp uses: its own, and the one for
-introspection, with which Jazzy describes a type. With an empty MOTORD_ROS no library of the
-environment is loaded while it is built."""
+program compiles them for the two type supports that rmw_fastrtps_cpp uses: its own, and that for
+introspection, with which Jazzy describes a type. With an empty MOTORD_ROS this process
+loads no library of the environment that it builds."""
 
 import os
 import shutil
@@ -34,7 +34,7 @@ class Build:
         self.environ = os.environ | environ_of(folder) | {"AMENT_PREFIX_PATH": str(folder)}
 
     def generate(self):
-        """The sources, in a folder for each generator, and a root for each to include them from."""
+        """Generate the sources, in one folder and one root of includes for each generator."""
         package = write_package(self.work)
         written = [*package.glob("msg/*.msg"), *package.glob("action/*.action")]
         names = [f"{path.parent.name}/{path.stem}" for path in written]
@@ -62,7 +62,7 @@ class Build:
         return sorted((self.work / "made" / kind).rglob(pattern))
 
     def library(self, name, sources, *needs):
-        """Builds lib/libPACKAGE__NAME.so; `needs`: the package's libraries that it links."""
+        """Build lib/libPACKAGE__NAME.so. `needs`: libraries of the package that it links with."""
         file = self.folder / "lib" / f"lib{PACKAGE}__{name}.so"
         self.link(file, sources, *needs)
 
@@ -88,7 +88,7 @@ class Build:
         subprocess.run(command, cwd=self.work, check=True, timeout=DEADLINE_S)
 
     def install(self):
-        """Libraries, the Python package with its extension module, the types' descriptions."""
+        """Install the libraries, the Python package with extension module, and the hashes."""
         self.library(C, self.sources("c", "*.c"))
         self.library(f"{FASTRTPS}_cpp", self.sources("fastrtps_cpp", "*.cpp"), C)
         self.library(f"{FASTRTPS}_c", self.sources("fastrtps_c", "*.cpp"), C, f"{FASTRTPS}_cpp")

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node on a real rclpy, in ROS's own Python, without any part of motord. Prints lines of JSON.
+"""A node on a real rclpy, in ROS's own Python, without any part of motord. It prints JSON lines.
 
 rclpy_peer.py DOMAIN drive NAMESPACE V W   prints odom and robot_description; sends 20
                                            TwistStamped a second on cmd_vel
 rclpy_peer.py DOMAIN watch NAMESPACE       prints motor_status
 rclpy_peer.py DOMAIN say TOPIC TEXT NODE   20 std_msgs/String a second
-rclpy_peer.py DOMAIN wait SERVICE NODE S   a std_srvs/Trigger: whether wait_for_service has found it
-                                           in S seconds, then whether the graph lists it
+rclpy_peer.py DOMAIN wait SERVICE NODE S   prints whether wait_for_service finds a std_srvs/Trigger
+                                           in S seconds, and again when the graph lists it
 """
 
 import json

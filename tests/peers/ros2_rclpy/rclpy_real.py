@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A real rclpy for the tests: from a sourced ROS 2, or from the wheels that `make
-build/ros-kilted/made` installs. `MOTORD_ROS` names another such environment; if it is empty, the
-stand-in is used.
+build/ros-kilted/made` installs. The variable MOTORD_ROS names another such environment; if it
+is empty, the tests use the stand-in.
 
 Programs of such an environment run in its own Python. Its libraries find each other by
-LD_LIBRARY_PATH, which a process reads once, at its start. This process is a node too, so all of
-them are loaded here before rclpy loads them by name: glibc reuses a library that it has loaded."""
+LD_LIBRARY_PATH, which a process reads once, at its start. This process has nodes, too. So
+it loads all of them before rclpy loads them by name: glibc reuses a library that it has loaded."""
 
 import ctypes
 import importlib.util
@@ -20,18 +20,19 @@ _MISSING = re.compile(r"^(\S+): cannot open shared object file")
 
 
 def made(distribution):
-    """The environment of these wheels, or None."""
+    """Return the environment made from wheels of `distribution`; None if there is no such."""
     folder = ROOT / f"build/ros-{distribution}"
     return folder if (folder / "made").is_file() else None
 
 
 def site_of(folder):
-    """Its Python packages."""
+    """Return the folder of Python packages of an environment."""
     return folder / f"lib/python{sys.version_info.major}.{sys.version_info.minor}/site-packages"
 
 
 def environ_of(folder):
-    """The variables that its wheels would set before they start the program again."""
+    """Return the environment variables with which programs find the libraries of the wheels. The
+    second one keeps the wheels from setting them and starting the program again."""
     libraries = [folder / "lib", *site_of(folder).glob("ros_*.libs")]
     return {
         "LD_LIBRARY_PATH": os.pathsep.join(map(str, libraries)),
@@ -70,7 +71,7 @@ def _found():
 
 
 FOLDER = _found()
-"""An environment that was made for the tests; None where ROS 2 is sourced, or absent."""
+"""The environment of wheels that the tests use; None if ROS 2 is sourced or absent."""
 REAL = FOLDER is not None or importlib.util.find_spec("rclpy") is not None
 PYTHON = sys.executable if FOLDER is None else str(FOLDER / "bin/python")
 ENVIRON = {} if FOLDER is None else environ_of(FOLDER)

@@ -36,15 +36,15 @@ SETTINGS = (
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 ANSWERS = QoSProfile(depth=100)
-"""The operator's queue, long enough that only the bridge can lose a message."""
+"""Queue of the operator's clients. It is so long that only the bridge can lose a message."""
 UNWARNED = pytest.mark.filterwarnings("ignore:Deprecated in favor of:DeprecationWarning")
-"""rclpy calls its own deprecated code where two qualities of service are incompatible."""
+"""Mark that ignores a warning: rclpy calls its own deprecated code if two QoS are incompatible."""
 MODULE = ("-m", "motord.ros2_rclpy")
 
 
 @contextlib.contextmanager
 def ros(folder):
-    """The environment in which the nodes discover each other."""
+    """Set the environment in which the nodes discover each other."""
     domain = {
         "ROS_DOMAIN_ID": str(100 + os.getpid() % 100),
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -53,7 +53,7 @@ def ros(folder):
     with contextlib.ExitStack() as cleanup:
         if REAL:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", DeprecationWarning)  # of its parser
+                warnings.simplefilter("ignore", DeprecationWarning)  # its parser causes one
                 import rosidl_generator_py  # noqa: F401
         else:
             import standin_wire
@@ -74,7 +74,7 @@ def ros(folder):
 
 
 class Bridge:
-    """The bridge's process and its log."""
+    """The process of the bridge, and its log."""
 
     def __init__(self, log, *words, ros_args=(), environ=None, program=MODULE, python=PYTHON):
         self.log = log
@@ -110,7 +110,7 @@ def bridge(folder, *words, **options):
 
 
 class Operator:
-    """A node of its own in this process."""
+    """A node in this process, with which a test does what an operator's programs do."""
 
     def __init__(self, name="operator"):
         self._context = Context()
@@ -133,7 +133,7 @@ class Operator:
         self.node.destroy_node()
 
     def ask(self, name, kind, **values):
-        """The future of the answer."""
+        """Call a service. Return the future of the answer."""
         key = (name, kind)
         if key not in self._clients:
             self._clients[key] = self.node.create_client(kind, name, qos_profile=ANSWERS)
@@ -144,7 +144,7 @@ class Operator:
         return answered(self.ask(name, kind, **values), name)
 
     def publisher(self, name, kind, quality=10):
-        """A publisher that has found a subscriber."""
+        """Return a publisher after it has found a subscriber."""
         key = (name, kind)
         if key not in self._publishers:
             self._publishers[key] = self.node.create_publisher(kind, name, quality)
@@ -153,7 +153,7 @@ class Operator:
         return made
 
     def collect(self, name, kind, quality=10):
-        """A list to which messages are added."""
+        """Subscribe to a topic. Return the list to which its messages are added."""
         received = []
         self.node.create_subscription(kind, name, received.append, quality)
         return received
@@ -175,7 +175,7 @@ def operator(name="operator"):
 
 @contextlib.contextmanager
 def bridged(folder, *settings):
-    """Daemon, bridge and operator."""
+    """Run the daemon, the bridge and the operator's node."""
     with (
         ros(folder),
         running(folder, *SETTINGS, *settings) as stage,
@@ -183,13 +183,13 @@ def bridged(folder, *settings):
         operator() as stage.operator,
     ):
         stage.wait_for("idle")
-        stage.operator.call("motord/stop", Trigger)  # the bridge is there
+        stage.operator.call("motord/stop", Trigger)  # its answer shows that the bridge is ready
         yield stage
         assert "Traceback" not in stage.bridge.logged()
 
 
 def again(stage, *settings):
-    """The daemon once more, at the same place."""
+    """Start the daemon once more, with the same arguments and further settings."""
     with stage.log.open("ab") as sink:
         return subprocess.Popen(
             [*stage.daemon.args, *(part for setting in settings for part in ("--set", setting))],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Actions of the bridge node, served as the services and topics that every ROS 2 client uses."""
+"""Actions of the bridge node, used through the services and topics of which an action consists."""
 
 import math
 import uuid
@@ -19,7 +19,7 @@ from unique_identifier_msgs.msg import UUID  # noqa: E402
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 WAITING = 12
-"""Requests for one result: more than the answers that a service of rclpy keeps by default."""
+"""Number of requests for one result: a service of rclpy keeps fewer answers by default."""
 KINDS = {
     "drive_distance": actions.DriveDistance,
     "rotate": actions.Rotate,
@@ -35,7 +35,7 @@ def stage(tmp_path_factory):
 
 @pytest.fixture
 def armed(stage):
-    """A fault that a busy machine has latched meanwhile is reset."""
+    """The robot, armed. A fault that a busy machine has latched meanwhile is reset."""
 
     def attempt():
         method = {"fault": "reset", "estop": "reset", "idle": "arm"}.get(stage.state())
@@ -104,7 +104,7 @@ def test_a_distance_is_driven_with_feedback_while_it_moves(armed):
     assert received
     assert bytes(received[-1].goal_id.uuid) == bytes(goal.number.uuid)
     wait_until(lambda: states and states[-1].status_list[-1].status == SUCCEEDED, "the state")
-    assert goal.result()[0] == SUCCEEDED  # a repeated request is answered again
+    assert goal.result()[0] == SUCCEEDED  # another request gets the answer, too
 
 
 def test_an_angle_is_turned(armed):
@@ -169,7 +169,7 @@ def test_a_base_that_cannot_move_sideways_refuses_a_sideways_goal(armed):
     goal = Goal(armed, "drive_distance", distance_m=1.0, direction_rad=math.pi / 2)
     assert not goal.accepted
     assert armed.sim.truth().at_rest
-    assert armed.operator.call("motord/stop", Trigger).success  # the bridge serves on
+    assert armed.operator.call("motord/stop", Trigger).success  # the bridge still serves
 
 
 def test_a_calibration_moves_nothing_and_ends_when_cancelled(armed):
@@ -186,7 +186,7 @@ def test_a_disarmed_robot_refuses_a_goal(stage):
     stage.wait_for("idle")
 
     def refused():
-        """On a busy machine another reason may come first: old odometry."""
+        """Return whether the log has the reason. On a busy machine old odometry may come first."""
         assert not Goal(stage, "drive_distance", distance_m=0.5).accepted
         return "not armed" in stage.bridge.logged()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""On a machine with ROS 2, the bridge node serves what motord-bus serves on DDS."""
+"""The bridge node, which serves through rclpy what motord-bus serves on DDS."""
 
 import contextlib
 import math
@@ -33,7 +33,7 @@ def stage(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def settled(stage):
-    """Disarmed and ready, no source in command."""
+    """Wait until the robot is idle with no source in command."""
     wait_until(lambda: not stage.robot.status()["leases"], "the command's end")
 
     def ready():
@@ -187,14 +187,14 @@ def test_the_estop_topic_stops_and_names_the_node(stage, quality):
         within_s = 5.0 if quality is BEST_EFFORT else DEADLINE_S
 
         def stopped():
-            """A best-effort message may be lost; then another one follows."""
+            """Publish, and return whether the robot stops: a best-effort message may be lost."""
             publisher.publish(T.String(data="a hand is in the belt"))
             with contextlib.suppress(AssertionError):
                 return wait_until(lambda: stage.state() == "estop", "estop", within_s)
             return False
 
         def named():
-            """ROS 2 may pass on the first message of a node before the node's name."""
+            """Return whether the reason names the node: ROS 2 may learn its name too late."""
             wait_until(stopped, f"an emergency stop\n{stage.logged()}")
             why = wait_until(
                 lambda: [text for text in stage.robot.status()["why"] if "belt" in text],
@@ -290,7 +290,7 @@ def test_an_estop_is_an_error_for_a_manager_and_no_transition_leads_out_of_it(st
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_the_end_of_a_bridge_ends_its_lease_and_the_robot_rests(stage, tmp_path, number):
-    """Runs beside the other bridge, under the same name."""
+    """The bridge of this test runs beside that of the stage, for the same input."""
     armed(stage)
     with bridge(
         tmp_path, "--socket", stage.socket, "--unstamped",
@@ -324,7 +324,7 @@ def test_commands_queued_while_the_bridge_stood_still_move_nothing(stage, tmp_pa
             return stage.robot.status()["commands"]["accepted"]
 
         def looked_at():
-            """The bridge has accepted or refused all messages published before."""
+            """Return the accepted commands after the bridge has handled all messages so far."""
             assert stage.operator.call("third/stop", Trigger).success
             return accepted()
 
@@ -343,7 +343,7 @@ def test_commands_queued_while_the_bridge_stood_still_move_nothing(stage, tmp_pa
 
 
 def test_an_unstamped_command_does_not_arrive_where_stamps_are_required(stage):
-    """Another type on the same topic: it does not arrive."""
+    """It has another type on the same topic: Twist instead of TwistStamped."""
     armed(stage)
     before = stage.robot.status()["commands"]
     with operator("stranger") as stranger:

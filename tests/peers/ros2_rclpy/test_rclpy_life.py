@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Life of the bridge node: daemons that start, end and restart, and its arguments."""
+"""The bridge node when daemons start, end and restart; its arguments and parameters."""
 
 import contextlib
 import os
@@ -27,7 +27,7 @@ from motord.ros2_rclpy.__main__ import options_of
 
 @contextlib.contextmanager
 def restarted(stage, *settings, number=signal.SIGKILL):
-    """Kills the daemon in motion, and starts it again with the same files."""
+    """End the daemon by a signal, and start it again with the same files."""
     stage.end(number)
     daemon = again(stage, *settings)
     try:
@@ -95,7 +95,7 @@ def test_it_waits_for_a_daemon_and_logs_that_once(tmp_path):
 
 
 def test_its_arguments_and_parameter_files_are_checked_and_applied(tmp_path):
-    """An unknown input or parameter, a parameter file, and message types that were not built."""
+    """Cases: an unknown input, an unknown parameter, a parameter file, message types not built."""
     file = tmp_path / "bridge.yaml"
     file.write_text(
         "/**:\n  ros__parameters:\n    input: ros\n    limits:\n      linear_m_s: 0.3\n"
@@ -146,7 +146,7 @@ def test_parameters_of_the_node_are_requests():
 
 
 def test_it_needs_only_the_standard_library():
-    """ROS has its own Python, without motord's dependencies."""
+    """The bridge runs in the Python of ROS 2, which has no dependencies of motord."""
     path = os.pathsep.join(str(ROOT / folder) for folder in ("daemon", "hal"))
     run = subprocess.run(
         [sys.executable, "-S", "-c", "import motord.ros2_rclpy.bridge, motord.ros2_rclpy.__main__"],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""motord-bus among nodes of a real rclpy on rmw_fastrtps_cpp: ROS 2 itself, from its wheels."""
+"""motord-bus with nodes of a real rclpy on rmw_fastrtps_cpp, from wheels of ROS 2."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ def stage(tmp_path_factory):
 
 @pytest.fixture(params=DISTRIBUTIONS)
 def node(request, tmp_path):
-    """Starts a node of that distribution."""
+    """Return a function that starts a node (rclpy_peer.py) of that distribution."""
     folder = made(request.param)
     if folder is None:
         pytest.skip(f"make build/ros-{request.param}/made")
@@ -60,7 +60,7 @@ def test_each_type_has_the_hash_that_ros_2_computes(distribution):
 
 def test_a_node_reads_odometry_and_drives_the_robot(node, stage):
     def attempt():
-        """A fault that a busy machine has latched meanwhile is reset."""
+        """Arm, and return whether the robot is armed; reset a fault of a busy machine."""
         state = stage.state()
         if state in ("fault", "estop"):
             stage.robot.reset()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our ROS 2 node on Zenoh, tested by another session through a router in another process. The other
+"""The ROS 2 node on Zenoh, tested by another session through a router in another process. The other
 session encodes and decodes with rosbags, and takes keys and tokens from rmw_zenoh's design
 document."""
 
@@ -47,7 +47,7 @@ LONG_BYTES = 20_000
 
 
 def sockets_hold_bytes():
-    """The most bytes that a TCP connection buffers in both of its sockets."""
+    """Return the largest number of bytes that a TCP connection buffers in its two sockets."""
     names = ("tcp_wmem", "tcp_rmem")
     return sum(int(Path("/proc/sys/net/ipv4", name).read_text().split()[2]) for name in names)
 
@@ -56,7 +56,7 @@ SENT_IN_VAIN = 2 * sockets_hold_bytes() // LONG_BYTES
 
 
 class Robot:
-    """A node with one topic out, one in, and a service that is counted."""
+    """A node that publishes one topic, subscribes to one, and counts the calls of a service."""
 
     def __init__(self, port, quality=None, distribution="jazzy"):
         where = Router(endpoint=endpoint(port))
@@ -295,7 +295,7 @@ async def test_a_router_that_hangs_loses_samples_but_not_the_connection():
 
                 await until(sent)
                 process.send_signal(signal.SIGSTOP)
-                for _ in range(SENT_IN_VAIN):  # more than the sockets hold
+                for _ in range(SENT_IN_VAIN):  # more bytes than the sockets hold
                     robot.text.publish(SimpleNamespace(data="x" * LONG_BYTES))
                 process.send_signal(signal.SIGCONT)
 

@@ -12,7 +12,7 @@ from tests.sim.daemon_stage import wait_until
 
 from motord.bus.messages.table import type_hash
 
-__all__ = ["robot"]  # a stage of this file's own
+__all__ = ["robot"]  # a fixture: this file has a robot of its own
 
 ACTION = "motord_msgs/action/DriveDistance"
 UUID = "peer/msg/Uuid"
@@ -57,7 +57,7 @@ def key(part, kind):
 
 
 class Client:
-    """One goal's."""
+    """Client of one goal."""
 
     def __init__(self, session, number):
         self.session = session

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A whole robot on simulated drives, driven and observed as ROS 2 does over a real Zenoh router."""
+"""A robot with simulated drives. Another ROS 2 node drives and reads it through a Zenoh router."""
 
 import rosbags.typesys as rosbags
 from tests.peers.ros2_zenoh.zenoh_rig import STORE, ask, attached
@@ -67,8 +67,8 @@ def test_an_emergency_stop_is_latched_and_arming_is_refused_with_the_reason(robo
 
 
 def asked(driver, name, service, request, response):
-    """Call a service of the node with the other encoder: `request` is a definition and its values,
-    `response` a definition."""
+    """Call a service of the node, encoded by rosbags, and return the answer. `request`: the
+    definition of its type, and the values. `response`: the definition of its type."""
     package, short = service.split("/")
     key = f"5/r2/motord/{name}/{package}::srv::dds_::{short}_/{type_hash(f'{package}/srv/{short}')}"
     store = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)

@@ -16,7 +16,7 @@ KEY = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes")
 
 
 def certified(folder):
-    """Makes a certificate authority, and its certificates for router and node."""
+    """Make a certificate authority in `folder`, and its certificates for router and node."""
 
     def openssl(*words):
         subprocess.run(["openssl", *words], check=True, cwd=folder, capture_output=True, timeout=60)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Zenoh router and another node in one process: prints the stamp of each odometry message, and
-sends a command for each line of its input, a speed in m/s.
+"""A Zenoh router and a ROS 2 node in one process. It prints the stamp of each odometry message. For
+each line of its standard input, a speed in m/s, it sends a command.
 
-python -m tests.peers.ros2_zenoh.zenoh_far HOST:PORT FOLDER: by TLS, with host.pem and
-host.key in that folder.
+python -m tests.peers.ros2_zenoh.zenoh_far HOST:PORT FOLDER: listens there by TLS, with host.pem
+and host.key in FOLDER.
 """
 
 import json

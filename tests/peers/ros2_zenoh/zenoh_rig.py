@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A peer of ROS 2 on Zenoh that motord did not write."""
+"""A peer for ROS 2 on Zenoh. rosbags encodes its messages; only attachments use code of motord."""
 
 import asyncio
 import contextlib
@@ -50,7 +50,7 @@ async def running(node):
 
 
 class Tokens:
-    """The endpoints that the router reports."""
+    """The liveliness tokens that the router reports: one for each node and endpoint."""
 
     def __init__(self, session):
         self.alive = set()
@@ -76,7 +76,7 @@ def attached(sequence=1):
 
 
 def ask(session, key, target=zenoh.QueryTarget.ALL_COMPLETE, **more):
-    """Blocks until all answers are there: call it in a thread."""
+    """Query `key` and return all answers. It blocks until they are there: call it in a thread."""
     return list(session.get(key, target=target, timeout=10.0, **more))
 
 

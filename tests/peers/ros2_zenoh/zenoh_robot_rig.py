@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A running robot on Zenoh, and a node that drives it."""
+"""A running robot on Zenoh, and another node that drives it."""
 
 import contextlib
 import time
@@ -41,7 +41,7 @@ def command(linear_m_s, age_s=0.0, lateral_m_s=0.0):
 
 
 class Driver:
-    """Another node: sends commands while a test calls it, and receives odometry."""
+    """A node that receives odometry, and sends commands and calls when a test calls its methods."""
 
     def __init__(self, session):
         self.session = session
@@ -68,7 +68,7 @@ class Driver:
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory):
-    """A stage and a driver."""
+    """The stage of a running robot, and a driver."""
     port = free_port()
     where = [f"{table}.z.{key}" for table in ("publish", "input") for key in ("kind", "router")]
     values = ["ros2-zenoh", endpoint(port)] * 2
@@ -97,7 +97,7 @@ def figures(stage):
 
 
 def lapsed(driver, name):
-    """Waits until the commands of the test before have lapsed."""
+    """Call the service `name` until it succeeds: commands of the last test have to lapse first."""
     wait_until(lambda: driver.call(name).success, name)
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Zenoh router in a process of its own, to be killed and started again.
+"""A Zenoh router in its own process, which tests kill, stop and start again.
 
-zenoh_router.py PORT [TLS_PORT FOLDER]: by TLS it accepts only its authority's clients."""
+zenoh_router.py PORT [TLS_PORT FOLDER]: on TLS_PORT it accepts only clients with a certificate of
+the authority in FOLDER."""
 
 import asyncio
 import contextlib
@@ -28,7 +29,7 @@ def free_port():
 
 @contextlib.asynccontextmanager
 async def router(port, *tls):
-    """Its process; it is killed at the end, also when it has been stopped."""
+    """Run a router, and yield its process when it listens."""
     with started(port, *tls) as process:
         async with asyncio.timeout(START_WITHIN_S):
             assert await asyncio.to_thread(process.stdout.readline) == b"ready\n"
@@ -37,7 +38,7 @@ async def router(port, *tls):
 
 @contextlib.contextmanager
 def started(port, *tls):
-    """The same, without waiting until it listens."""
+    """Run a router, and yield its process at once. It is killed at the end, even if stopped."""
     command = [sys.executable, __file__, *map(str, (port, *tls))]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         try:

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A user's program on roslibpy: python ros_client.py URL. Prints what it received. With VX VY after
-the URL it commands these until it is killed."""
+"""A program of a user with roslibpy: python ros_client.py URL [VX VY]. It drives, stops and resets
+the robot, and prints what it received. With VX and VY it commands these until it is killed."""
 
 import json
 import sys
@@ -13,7 +13,7 @@ WITHIN_S = 30
 
 
 def first(ros, topic, kind):
-    """The first message of a topic."""
+    """Return the first message of a topic."""
     came, found = threading.Event(), []
 
     def take(message):
@@ -74,7 +74,7 @@ def main():
     found["estop"] = trigger("/estop")
     cmd_vel.publish(roslibpy.Message({"linear": {"x": 0.0}, "angular": {"z": 0.0}}))
     found["reset"] = trigger("/reset")
-    while not found["reset"]["success"] and time.monotonic() < end_s:  # until the zero is there
+    while not found["reset"]["success"] and time.monotonic() < end_s:  # until zero is received
         found["reset"] = trigger("/reset")
     print(json.dumps(found))
     ros.terminate()

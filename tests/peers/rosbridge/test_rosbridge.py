@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rosbridge server: a roslibpy program drives the robot; strangers and slow readers do no
-harm."""
+"""The rosbridge server: a roslibpy program drives the robot. Clients without the token and slow
+readers do not disturb it."""
 
 import asyncio
 import contextlib
@@ -58,7 +58,7 @@ def bus(stage):
 
 
 async def exchanged(port, *requests, until, token=None):
-    """Sends the requests; returns the first answer for which `until` is true."""
+    """Send the requests, and return the first message for which `until` is true."""
     query = f"?token={token}" if token else ""
     async with asyncio.timeout(DEADLINE_S):
         async with connect(f"ws://127.0.0.1:{port}/{query}") as client:
@@ -117,7 +117,7 @@ async def test_wheels_are_commanded_by_the_joints_names(stage, ports):
                     wait_until(armed, "armed")
                 await client.send(json.dumps(message))
                 await asyncio.sleep(0.05)
-    stage.wait_for("armed", "fault")  # a fault of a busy machine
+    stage.wait_for("armed", "fault")  # "fault": latched by a busy machine
     stage.robot.disarm()
 
 
@@ -135,7 +135,7 @@ async def test_a_client_without_the_token_cannot_connect(stage, ports, query):
 
 
 async def test_silent_strangers_make_room_for_a_client_with_the_token(tmp_path, monkeypatch):
-    monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)  # silence closes none
+    monkeypatch.setattr(http_server, "ANSWER_WITHIN_S", 3600.0)  # no silent client is closed
     port, count = free_port(), 3 * http_server.STRANGERS_MAX
     section = RosbridgeInput(kind="rosbridge", token_file=str(token_file(tmp_path)), port=port)
     runtime = Runtime(load_robot(DEMO), tmp_path / "no.sock")
@@ -250,7 +250,7 @@ async def test_a_reader_that_stops_reading_loses_messages_and_disturbs_nothing_e
     ticks = stage.robot.status()["loop"]["ticks"]
     url = f"ws://127.0.0.1:{ports[1]}/"
     narrow = socket.socket()
-    narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # soon full
+    narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # a buffer that is soon full
     narrow.connect(("127.0.0.1", ports[1]))
     tf = {"op": "subscribe", "topic": "/tf"}
     async with (
@@ -290,7 +290,7 @@ async def test_it_serves_tls_with_the_certificate_of_the_robot_file(tmp_path):
 
 @contextlib.asynccontextmanager
 async def connect_again(url, context):
-    """Connects, retried until the server listens."""
+    """Connect as soon as the server listens."""
     while True:
         try:
             client = await connect(url, ssl=context)

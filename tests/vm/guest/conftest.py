@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests against a real kernel's drivers. They change devices, users and packages of the machine
-that they run on: only in the guest of `make vm`, or where MOTORD_VM=1 permits it."""
+"""Fixtures of tests with real kernel drivers. The tests change devices, users and packages of their
+machine. So they run only with MOTORD_VM=1, which the guest of `make vm` sets."""
 
 import os
 import sys
@@ -16,14 +16,14 @@ os.environ["PYTHONPATH"] = os.pathsep.join(PACKAGES)  # for the processes that t
 
 
 def pytest_runtest_logreport(report):
-    """Prints a failure at once: the rest may take minutes."""
+    """Print a failure at once, because the remaining tests may take minutes."""
     if report.failed:
         print(f"\n{report.longreprtext}", file=sys.__stdout__, flush=True)
 
 
 @pytest.fixture(scope="session")
 def simulator(tmp_path_factory):
-    """The demo robot's drives, in one process: starting it takes an emulated machine seconds."""
+    """Simulated drives of the demo robot, started once: an emulated machine takes seconds."""
     from cable import ROBOT
     from hardware import simulated
 
@@ -33,7 +33,7 @@ def simulator(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rig():
-    """Pins and PWM of the kernel's simulated chips. Tests of lines have rigs of their own."""
+    """Pins and PWM of the kernel's simulated chips. Tests of CAN lines define another `rig`."""
     from pin_rig import pins
 
     with pins() as found:

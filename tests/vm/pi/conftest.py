@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of a Raspberry Pi's own pins: only in the machine that `make vm` starts for them."""
+"""Tests of the pins of a Raspberry Pi. They run only in the emulated one that `make vm` starts."""
 
 import os
 

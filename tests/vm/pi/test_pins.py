@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A BTS7960 on a Raspberry Pi's own pins, by its kernel's drivers: driven, stopped, killed."""
+"""A BTS7960 on pins of a Raspberry Pi with its kernel drivers: driven, stopped and killed."""
 
 import asyncio
 import signal
@@ -16,7 +16,7 @@ from motord_hal.fieldbus.ports import EventKind
 
 
 async def reaches(line, condition, what):
-    """Keeps it armed until the condition holds: old set-points of a slow machine stop it."""
+    """Keep the line armed until `condition` holds: old set-points of a slow machine stop it."""
     try:
         async with asyncio.timeout(3 * GENEROUS_S):
             while not condition():
@@ -55,7 +55,7 @@ async def test_a_dead_loop_stops_the_motor():
 
 
 async def turn():
-    """The work of the process that is killed."""
+    """Turn the motor: the work of the process that the test kills."""
     async with running(spec_of()) as line:
         line.loop.enabled, line.loop.duty = True, {0: 0.5}
         await reaches(line, are("forward", 0.5), "forward")
@@ -64,7 +64,7 @@ async def turn():
 
 
 def test_after_kill_9_the_pulses_and_the_enables_stay_until_stop_all_ends_them():
-    """This chip leaves a released line as it was: only stop-all stops the motor."""
+    """This chip leaves a released line at its level: only stop-all stops the motor."""
     code = "import asyncio, test_pins; asyncio.run(test_pins.turn())"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
         lines = iter(child.stdout.readline, b"")

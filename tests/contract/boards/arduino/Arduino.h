@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * The parts of Arduino that the sketch uses, for this machine: of each core only what that core
- * has. sketch_host.cpp implements them.
+ * The parts of Arduino that the sketch uses, for a build on this machine. Each core has only the
+ * functions that it really has. sketch_host.cpp implements them.
  */
 #ifndef ARDUINO_H
 #define ARDUINO_H

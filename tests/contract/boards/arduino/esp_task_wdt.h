@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Of ESP-IDF 5: the task watchdog, which the Arduino core has set up already. */
+ * The task watchdog of ESP-IDF 5, which the Arduino core has set up already. */
 #ifndef ESP_TASK_WDT_H
 #define ESP_TASK_WDT_H
 

@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: Apache-2.0
  *
- * docs/mcu/motord_mcu.ino on this machine. Orders on stdin, a line each: setup, loop, time US, level PIN 0|1, in HEX, room BYTES,
- * broken (the watchdog cannot be had). What the sketch does to the chip goes to stdout, a line each; "done" after an order.
+ * Runs docs/mcu/motord_mcu.ino on this machine. Each line on stdin is an order: setup, loop,
+ * time US, level PIN 0|1, in HEX, room BYTES, broken (no watchdog is available). Each access of
+ * the sketch to the chip prints a line, and the end of an order prints "done".
  */
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,7 +12,7 @@
 
 #include "Arduino.h"
 
-/* A name of its own for each: the sketch may have the same. */
+/* In a struct of its own, because the sketch may use the same names. */
 static struct {
     uint32_t now_us, watchdog_ms;
     int levels[64], room = 127;

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """With this folder in PYTHONPATH, SIGUSR1 starts HOGS pure-Python threads in the process of
-motord-bus, which compete for the GIL all the time. SIGWINCH stops its event loop. SIGUSR2 ends
-either."""
+motord-bus, which compete for the GIL all the time. SIGWINCH blocks its event loop. SIGUSR2 ends
+both."""
 
 import os
 import signal

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packages of ROS 2 types for the stand-in, made from motord's own definitions of them: classes
-with the fields of a type, `std_srvs.srv.Trigger` with its Request and Response, and of an action
-the parts that ROS 2 generates."""
+"""Packages of ROS 2 types for the stand-in, made from motord's own definitions: a class with its
+fields for each message, one with Request and Response for each service, and one with the parts that
+ROS 2 generates for each action."""
 
 import importlib.abc
 import importlib.util
@@ -22,7 +22,7 @@ def _value(field):
 
 
 def message(kind):
-    """The class of a message, by its full name."""
+    """Return the class of a message by the full name of its type."""
     if kind not in _made:
         fields = [field for field in TYPES[kind] if field.name != PLACEHOLDER]
 
@@ -82,7 +82,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 
 def install(without=()):
-    """Let them be imported, all but some packages."""
+    """Make the packages importable, but for those in `without`."""
     finder = _Finder(without)
     sys.meta_path.append(finder)
     return finder

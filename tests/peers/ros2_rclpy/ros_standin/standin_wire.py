@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stand-in's middleware: a hub that passes each message of a process to all others. The
-environment names its socket."""
+"""The middleware of the stand-in: a hub that passes each message of a process to all other
+processes. An environment variable names its socket."""
 
 import contextlib
 import itertools
@@ -22,7 +22,7 @@ def _frame(stream):
 
 @contextlib.contextmanager
 def hub(path):
-    """A hub at that path."""
+    """Run a hub on a socket at `path`."""
     peers, lock = [], threading.Lock()
 
     class Peer(socketserver.StreamRequestHandler):
@@ -57,20 +57,20 @@ def hub(path):
 
 
 class Graph:
-    """The endpoints of this process, and those that others announced."""
+    """Endpoints of this process, and those that other processes have announced."""
 
     def __init__(self):
         self.lock = threading.RLock()
         self.numbers = itertools.count(1)
         self.here, self.there = {}, {}
-        """By (pid, number): our endpoints as objects, and what others announced of theirs."""
+        """Endpoint objects of this process, and the `about` of all others, by (pid, number)."""
         self._socket = socket(AF_UNIX)
         self._socket.connect(os.environ[HUB])
         threading.Thread(target=self._read, daemon=True).start()
         self._send(("hello",))
 
     def add(self, endpoint, about):
-        """`about`: role, name, type, node and quality."""
+        """Add an endpoint of this process. `about`: its role, name, type, node and QoS."""
         key = (os.getpid(), next(self.numbers))
         with self.lock:
             self.here[key] = endpoint
@@ -87,14 +87,14 @@ class Graph:
             self._send(("gone", endpoint.key))
 
     def known(self, role, name):
-        """Endpoints of that role and name: (key, about)."""
+        """Return (key, about) of each known endpoint of that role and name."""
         with self.lock:
             ours = [(key, endpoint.about) for key, endpoint in self.here.items()]
             found = [*ours, *self.there.items()]
         return [(key, about) for key, about in found if about[:2] == (role, name)]
 
     def send(self, role, name, *what):
-        """Send to every endpoint of that role and name, those of this process included."""
+        """Send `what` to every endpoint of that role and name, also to those of this process."""
         self._send(("tell", role, name, what))
         self._hand(role, name, what)
 
@@ -138,12 +138,12 @@ _graphs = []
 
 
 def graph():
-    """This process's."""
+    """Return the graph of this process. Make it on the first call."""
     if not _graphs:
         _graphs.append(Graph())
     return _graphs[0]
 
 
 def forget():
-    """The hub has ended: the next graph is another."""
+    """Drop the graph, because the hub has ended. The next call of `graph` makes another one."""
     _graphs.clear()

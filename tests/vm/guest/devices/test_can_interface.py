@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """CAN lines of both engines on interfaces of the kernel: two controllers that are cabled to each
 other, an interface that goes down, one that is removed, one with a full queue, and how long a
-set-point takes. The contract suite checks the frames on the bus, on vcan.
+set-point takes. The contract tests check the frames on vcan.
 
-QEMU's SJA1000 corrupts what follows a remote frame, and motord sends remote frames to ODrives: so
-these are at the other end of a vxcan, which is a cable without controllers.
+The ODrives here are at the other end of a vxcan, which is a cable without controllers: motord sends
+remote frames to ODrives, and QEMU's SJA1000 corrupts what follows a remote frame.
 """
 
 import math
@@ -31,7 +31,7 @@ CONTROLLERS = ("can0", "can1")
 ENGINES = {"rt": "socketcan", "asyncio": "socketcan-asyncio"}
 CHANGES = 50
 CYCLE_HZ = 20.0
-"""An emulated machine is slow."""
+"""Rate of the lines: low, because an emulated machine is slow."""
 
 
 def ip(*words):
@@ -106,7 +106,7 @@ async def test_a_full_queue_counts_its_lost_frames_and_the_newest_arrives(rig, p
     finally:
         output("tc", "qdisc", "del", "dev", OWN, "root")
     rig.loop.velocity_rad_s = {0: 0.5 * TURN}
-    if rig.states() != {DriveState.ARMED}:  # the queue may have been full for too long
+    if rig.states() != {DriveState.ARMED}:  # a queue that was full too long disarms it
         await rig.arm()
     await until(lambda: peer.axes[0].velocities()[-1] == pytest.approx(0.5), "the newest")
 
@@ -135,7 +135,7 @@ def make(interface):
 
 @pytest.fixture
 def adapter():
-    """An interface that can be pulled."""
+    """An interface that a test can remove, like an adapter that is unplugged."""
     make("gone0")
     yield "gone0"
     subprocess.run(("ip", "link", "del", "gone0"), check=False)

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An inertial sensor on an I2C bus of the kernel (i2c-stub keeps its registers): identity, set-up
-and samples by real transfers.
+"""An inertial sensor on an I2C bus of the kernel (i2c-stub keeps its registers): its
+identity, set-up and samples by real transfers.
 
 Source: kernel, Documentation/i2c/i2c-stub.rst.
 """
@@ -25,7 +25,7 @@ ROW = 0x3B
 
 
 def stub():
-    """The bus's device file; None: the kernel has no such bus."""
+    """Return the device file of the bus; None if the kernel has no such bus."""
     for name in Path("/sys/bus/i2c/devices").glob("i2c-*/name"):
         if "stub" in name.read_text():
             return Path("/dev", name.parent.name)
@@ -46,7 +46,7 @@ def bus():
 
 
 class Stub:
-    """The chip: its registers, which the bus keeps."""
+    """The sensor: it writes the registers, which the bus keeps."""
 
     def __init__(self, bus, identity=0x68):
         self.device = I2cDevice.open(bus, ADDRESS)
@@ -54,7 +54,7 @@ class Stub:
         self.turn = 0
 
     def say(self, gyro_z, up=8192):
-        """A sample with one count of noise, like a real chip's."""
+        """Put a sample into the registers, with one count of noise as from a real chip."""
         self.turn ^= 1
         row = struct.pack(">7h", self.turn, 0, up, 0, 0, 0, gyro_z)
         for place, byte in enumerate(row):

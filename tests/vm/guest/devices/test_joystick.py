@@ -31,7 +31,7 @@ def pad():
 
 @pytest.fixture
 def stage(tmp_path, simulator, monkeypatch):
-    """The daemon. Its package has no evdev, so it gets the distribution's."""
+    """A running daemon. Its package has no evdev; it uses that of the distribution."""
     plug()
     given = tmp_path / "packages"
     given.mkdir()
@@ -54,8 +54,8 @@ def turns(stage):
 
 
 def drives(stage, pad):
-    """The wheels turn by the held button. It is released first where the robot has to be armed
-    again: arming is refused while a source requests motion."""
+    """Hold the button, and return whether the wheels turn. If the robot has to be armed, release it
+    before: arming is refused while a source requests motion."""
     if not stage.robot.status()["armed"]:
         push(pad, (EV_KEY, BTN_TL, 0))
         stage.armed()

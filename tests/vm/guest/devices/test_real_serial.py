@@ -54,7 +54,7 @@ def test_a_pulled_adapter_is_found_again_and_disarmed(tmp_path, simulator, kind)
         stage.wait_for("fault")
         wait_until(lambda: sim.truth().at_rest, "the drive's own watchdog stops the wheels")
         plug()
-        assert adapter() != before  # a process still holds the old number
+        assert adapter() != before  # an open file keeps the old number in use
         os.close(other)
         wait_until(lambda: stage.robot.status()["lines"]["rs485"]["state"] == "ready", "open again")
         assert stage.state() == "fault"
@@ -101,7 +101,7 @@ def test_a_uart_without_rs485_mode_is_refused_with_the_gpio_alternative():
     asked = DirectionSpec(kind=DirectionKind.KERNEL)
     with pytest.raises(PortError, match=r'not offered by this port .*direction = "gpio"'):
         open_port(spec_of(UART, 115200, "none", asked))
-    os.close(open_exclusively(UART))  # the port is free again
+    os.close(open_exclusively(UART))  # the port has been closed
 
 
 @pytest.mark.parametrize("talking", [1, 0], ids=["active high", "active low"])
@@ -116,5 +116,5 @@ def test_a_gpio_line_turns_the_transceiver_while_the_line_talks(tmp_path, simula
             wait_until(lambda: level_of("DE") == talking, "it talks")
             wait_until(lambda: level_of("DE") != talking, "it listens")
             granted(stage.robot.disarm, "disarmed", stage.logged)
-            stage.process.kill()  # the kernel frees the line, which falls to its pull
+            stage.process.kill()  # the kernel frees the line: its pull sets it
             wait_until(lambda: level_of("DE") == 0, "the pair is not driven")

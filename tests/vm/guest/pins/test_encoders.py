@@ -2,7 +2,7 @@
 """Quadrature encoders on the kernel's own GPIO: every edge of its simulated lines is counted, and
 faults of the lines are reported.
 
-Source: kernel, kernel/irq/irq_sim.c (6.1): an interrupt that waits is a bit, not a number.
+Source: kernel, kernel/irq/irq_sim.c (6.1): a pending interrupt is a bit, not a number.
 """
 
 import math
@@ -29,7 +29,7 @@ pytestmark = [
 
 
 class Wheel:
-    """An encoder that the test turns, by the levels of its lines."""
+    """An encoder. A test turns it, which sets the levels of its lines."""
 
     def __init__(self, rig):
         self.rig, self.position = rig, 0
@@ -63,7 +63,7 @@ async def test_every_edge_is_counted_forward_and_back_from_any_place(rig, begin)
     async with running(with_encoder(rig)) as line:
         await line.ready()
         for edges in (1, 7, -3, -20, 40, -1):
-            for _ in range(abs(edges)):  # the simulated lines merge edges in quick succession
+            for _ in range(abs(edges)):  # one at a time: the simulated lines merge quick edges
                 wheel.turn(1 if edges > 0 else -1)
                 await until(count_is(line, wheel.position - begin), f"edge {wheel.position}")
         assert "encoder_lost" not in line.line.stats().errors

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motor bridges on the kernel's own GPIO and PWM: the levels of the pins when the line drives, and
-when it is stopped, starved or killed, or another program has its pins."""
+"""Motor bridges on the kernel's own GPIO and PWM: the levels of the pins when the line drives;
+when it gets no set-points, is stopped or killed; and when another program has its pins."""
 
 import asyncio
 import contextlib
@@ -44,12 +44,12 @@ pytestmark = [
 
 
 def fail_with(number):
-    """Makes the PWM chip refuse everything with this errno; 0: nothing."""
+    """Make the PWM chip fail every request with errno `number`; 0: no request."""
     FAILING.write_text(str(number))
 
 
 async def armed(line):
-    """Arms, repeatedly if needed: a busy machine may delay set-points until they are too old."""
+    """Arm, repeatedly if needed: a busy machine may delay set-points until they are too old."""
     async with asyncio.timeout(GENEROUS_S):
         while line.states() != {DriveState.ARMED}:
             await line.ready()
@@ -59,7 +59,7 @@ async def armed(line):
 
 
 async def reaches(line, condition, what):
-    """Keeps it armed until the condition holds: old set-points of a slow machine stop it."""
+    """Keep the line armed until `condition` holds: old set-points of a slow machine stop it."""
     try:
         async with asyncio.timeout(GENEROUS_S):
             while not condition():
@@ -74,7 +74,7 @@ def places_of_all():
 
 
 def all_bridges(rig):
-    """Every bridge that there is, a joint each, on one line."""
+    """Return the spec of a line with a joint for each kind of bridge."""
     joints = tuple(
         JointSpec(index=index, name=drive, profile=find_profile(drive), unit=index + 1, pins=where)
         for index, (drive, where) in enumerate(laid_out(BRIDGES).items())
@@ -83,7 +83,7 @@ def all_bridges(rig):
 
 
 def are(rig, drive, mode, duty=0.0, where=None):
-    """Whether all pins have the levels of a mode."""
+    """Return a check: whether all pins of a drive have the levels of a mode."""
     levels = find_profile(drive).bridge.levels
 
     def check():
@@ -331,13 +331,13 @@ asyncio.run(main())
 
 
 def test_stop_all_ends_what_kill_9_leaves_behind_on_every_bridge(rig, capsys):
-    """The pulses go on: sysfs has no watchdog. GPIO lines fall back to their pull here; not every
-    chip does that."""
+    """The pulses continue after the kill: sysfs has no watchdog. GPIO lines of this chip fall back
+    to their pull, which not every chip does."""
     code = KILLED.format(path=sys.path, lines=str(rig.lines), chip=str(rig.chip))
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
 
         def held():
-            """Stops it while all bridges are on: set-points of a slow machine get old at times."""
+            """Stop the process; continue it if a bridge is off, which old set-points may cause."""
             child.send_signal(signal.SIGSTOP)
             os.waitpid(child.pid, os.WUNTRACED)
             if all_forward(rig):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emergency stop's input and the watchdog's output on the kernel's own GPIO lines."""
+"""The input of the emergency stop and the output of the watchdog on GPIO lines of the kernel."""
 
 import contextlib
 import os
@@ -31,7 +31,7 @@ def test_only_an_open_contact_is_an_emergency_stop():
 
 def test_a_broken_wire_stops_because_the_chip_pulls_the_line_up():
     with chip() as lines, looped(pull=Bias.PULL_UP) as loop:
-        assert lines.level(CONTACT) == 1.0  # by the bias of the request: nothing drives the line
+        assert lines.level(CONTACT) == 1.0  # from the requested bias: nothing drives the line
         assert loop.read_state().faults == ("estop",)
 
 

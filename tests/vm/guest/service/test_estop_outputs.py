@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the emergency stop's contact to the pins of the motors, all of them the kernel's."""
+"""The emergency stop, from the pin of its contact to the pins of the motors, by kernel drivers."""
 
 import time
 

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon is killed at full speed under systemd, for each kind of line: what stops the wheels,
-and that it comes back disarmed. Prints a row of docs/safety.md for each."""
+"""The daemon is killed at full speed under systemd, for each kind of line: the wheels come to
+rest, and the daemon returns disarmed. Each test prints the times for a row of docs/safety.md."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ from unit import prepared, started
 from unit_robots import KINDS
 
 SMOKE = pytest.param("pwm", marks=pytest.mark.smoke)
-"""The quickest kind, because nothing simulated has to keep time."""
+"""The fastest kind, because it needs no simulator that has to keep time."""
 
 
 @pytest.mark.parametrize("kind", [SMOKE, *(kind for kind in KINDS if kind != "pwm")])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Debian package: what it installs where, and what a removal leaves."""
+"""The Debian package: the installed program and unit, and the files that a purge leaves."""
 
 from pathlib import Path
 

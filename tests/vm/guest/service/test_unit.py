@@ -19,7 +19,7 @@ UNIT = f"motord@{NAME}.service"
 
 @pytest.fixture(scope="module")
 def drives(simulator):
-    """The robot's file, and its drives."""
+    """Simulated drives, for which the robot file and the unit are prepared."""
     plug()
     robot = robot_file(ETC, UART, name=NAME)
     with behind(simulator, adapter()) as sim, prepared(NAME):
@@ -30,8 +30,8 @@ def drives(simulator):
 
 @pytest.fixture
 def unit(drives):
-    """Running and idle, with its drives in order. It may still run from the test before: a start
-    takes an emulated machine ten seconds."""
+    """The unit, running and idle, with drives without faults. It keeps running after a test: an
+    emulated machine needs ten seconds for a start."""
     drives.clear_faults_script()
     with reached(NAME, drives) as unit:
         granted(unit.is_idle, "it is idle", unit.logged)
@@ -54,7 +54,7 @@ def test_it_runs_in_real_time_as_an_unprivileged_user(unit):
 
 def test_it_can_open_motor_devices_and_no_others(unit):
     assert properties(UNIT, "DevicePolicy")["DevicePolicy"] == "closed"
-    # within the unit's limits: the disk's device file exists, and the kernel refuses to open it
+    # With the limits of the unit, the kernel refuses to open the disk, whose device file exists.
     limits = ["-p", "DevicePolicy=closed", "-p", "DeviceAllow=char-ttyS rw"]
     script = "exec 2>&1; head -c 1 /dev/vda | wc -c; dd if=/dev/ttyS1 iflag=noctty,nonblock count=0"
     done = output("systemd-run", "--quiet", "--pipe", "--wait", *limits, "sh", "-c", script)
@@ -91,10 +91,10 @@ def test_only_members_of_its_group_command_it(unit):
     output("useradd", "visitor")
     try:
         arm = ("runuser", "-u", "driver", "--", "motord", "arm")
-        # an emulated drive may take longer than the daemon waits
+        # repeated, because an emulated drive may need longer than the daemon waits
         wait_until(lambda: status_of(*arm) == 0, "armed by a member", unit.logged)
         output("runuser", "-u", "visitor", "--", "sh", "-c", "! motord disarm")
-        assert unit.state() != "idle"  # or a fault: a drive of a busy machine may have been late
+        assert unit.state() != "idle"  # it may be "fault": a late drive of a busy machine
     finally:
         output("userdel", "driver")
         output("userdel", "visitor")
@@ -112,7 +112,7 @@ def test_a_daemon_that_hangs_is_killed_and_comes_back_disarmed(unit):
 
 
 def latched() -> str:
-    """The last fault of the journal."""
+    """Return the last fault of the journal as JSON; empty without a fault."""
     faults = [entry for entry in journal(UNIT) if entry.get("MOTORD_EVENT") == "fault"]
     return json.dumps(faults[-1]["MOTORD_FAULT"]) if faults else ""
 

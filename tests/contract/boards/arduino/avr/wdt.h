@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0
- * Of avr-libc. */
+ * The watchdog functions of avr-libc that the sketch uses. */
 #ifndef AVR_WDT_H
 #define AVR_WDT_H
 

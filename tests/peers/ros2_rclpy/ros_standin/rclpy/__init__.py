@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A stand-in of rclpy, for machines without ROS 2: the part of its API that the bridge and its
-tests use, written from rclpy's documentation. It passes the bytes of messages on as they are."""
+tests use, written from rclpy's documentation. It passes messages on as bytes, without a change."""
 
 import os
 

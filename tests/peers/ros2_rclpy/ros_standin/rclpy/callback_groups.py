@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which callbacks may run at once."""
+"""Groups, which determine whether callbacks may run at the same time."""
 
 import threading
 

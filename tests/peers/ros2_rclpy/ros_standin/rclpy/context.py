@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Start and end of ROS 2 in a process, and the settings of --ros-args."""
+"""Start and end of ROS 2 in a process, and the values of --ros-args."""
 
 import itertools
 import json
@@ -44,7 +44,7 @@ class Context:
 
 
 def _value(text):
-    """The value of a YAML scalar."""
+    """Read a YAML scalar."""
     try:
         return json.loads(text)
     except ValueError:
@@ -52,7 +52,7 @@ def _value(text):
 
 
 def _of_file(path):
-    """The parameters of every node (`/**`); those of single nodes are not read."""
+    """Read the parameters for all nodes (`/**`) of a file, not those for single nodes."""
     from ruamel.yaml import YAML
 
     with open(path, encoding="utf-8") as file:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads that call back. An error in a callback ends `spin`, as rclpy's does."""
+"""Executors: threads that run the callbacks. An error in a callback ends `spin`, as in rclpy."""
 
 import threading
 from collections import deque
@@ -61,7 +61,7 @@ class MultiThreadedExecutor:
     def _run(self, entity, call):
         try:
             call()
-        except Exception as error:  # noqa: BLE001  whatever it is, spin raises it
+        except Exception as error:  # noqa: BLE001  spin raises any error
             self._error = error
         finally:
             entity.callback_group.ending_execution(entity)

@@ -27,7 +27,7 @@ def _gid(key):
 
 
 class _Logger:
-    """Like rclpy, it refuses another severity from the same place in the source."""
+    """A logger. Like that of rclpy, it refuses two severities from one line of the source."""
 
     def __init__(self, name):
         self._name, self._places = name, {}
@@ -109,7 +109,7 @@ class Node:
         endpoint.callback_group.add_entity(endpoint)
         full = self.resolve_topic_name(name)
         topic = role in ("publisher", "subscription")
-        if topic and self.context.topics.setdefault(full, kind) != kind:  # as a participant does
+        if topic and self.context.topics.setdefault(full, kind) != kind:  # as in DDS
             raise RuntimeError(f"{full}: called for existing topic with incompatible type")
         about = (role, full, kind, (self._space, self._name), quality)
         graph().add(endpoint, about)
@@ -149,10 +149,10 @@ class Node:
 
 class _Endpoint:
     def met(self, about):
-        """Another endpoint is there."""
+        """Handle the discovery of another endpoint, described by `about`."""
 
     def take(self, *what):
-        """Receives a message for this role and name."""
+        """Take a message for an endpoint of this role and name."""
 
 
 class _Publisher(_Endpoint):
@@ -174,7 +174,7 @@ class _Publisher(_Endpoint):
         graph().send("subscription", self.about[1], sender, self._newest, time.time_ns())
 
     def met(self, about):
-        """A late subscriber receives the newest message, where the publisher is latched."""
+        """Send the newest message again for a new subscriber, if this publisher is latched."""
         latched = self.about[4].durability == DurabilityPolicy.TRANSIENT_LOCAL
         if latched and self._newest is not None and about[:2] == ("subscription", self.about[1]):
             self._announce()
@@ -186,7 +186,7 @@ class _Publisher(_Endpoint):
 class _Subscription(_Endpoint):
     def __init__(self, kind, callback, raw):
         self._kind, self._callback, self._raw = kind, callback, raw
-        try:  # one argument, or the message's information as well
+        try:  # does the callback take the message alone, or with its information?
             inspect.signature(callback).bind(object())
             self._informed = False
         except TypeError:

@@ -28,12 +28,12 @@ class QoSProfile:
 
 
 def profile(given):
-    """A depth stands for a profile."""
+    """Return a QoS profile; a number is the depth of one with default values."""
     return QoSProfile(depth=given) if isinstance(given, int) else given
 
 
 def compatible(offered, requested):
-    """What a reader requests is no more than what the writer offers."""
+    """Return whether a writer's QoS offers at least what the reader's QoS requests."""
     return (
         offered.reliability <= requested.reliability and offered.durability <= requested.durability
     )

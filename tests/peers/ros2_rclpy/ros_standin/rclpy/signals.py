@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which signals ROS 2 takes for itself."""
+"""The signals that rclpy handles."""
 
 from enum import IntEnum
 
