@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of bus servos, against the manual's own examples, and what a cycle of servos needs."""
+"""Packets of bus servos, compared with the manual's examples, and the time of a cycle of servos."""
 
 import pytest
 from hypothesis import given
