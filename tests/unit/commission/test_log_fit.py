@@ -120,7 +120,7 @@ def test_a_short_log_is_refused_with_the_path_that_is_needed(tmp_path):
 
 
 def recording(file, columns, step=5):
-    """Write every `step`-th row as joint states of a robot and as poses of a motion capture system."""
+    """Write every `step`-th row as a robot's joint states and a motion capture system's poses."""
     with file.open("wb") as sink, Writer(sink) as writer:
         _, _, made_of = definition("nav_msgs/msg/Odometry").partition("=" * 80)
         texts = {

@@ -194,7 +194,7 @@ def test_a_pattern_that_fits_no_joint_is_shown_and_changes_nothing(swerve):
 
 
 def test_a_zero_follows_the_direction_that_the_file_will_have(swerve):
-    """The wheel points to the left of straight ahead, where the count of an inverted servo falls."""
+    """The wheel points to the left; there the count of an inverted servo is smaller."""
     name, off_counts = "front_left_steering", round(0.1 * 4096 / math.tau)
     straight = findings(swerve, [pointed(name, PATTERNS, off_rad=0.1)])
     assert straight.changes == {("joint", name, "zero_count"): 2048 - off_counts}

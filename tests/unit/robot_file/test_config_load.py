@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading a robot file: what is right becomes values, what is wrong becomes lines of errors."""
+"""Reading a robot file: it becomes values, and each mistake in it a line of the errors."""
 
 import math
 import re
@@ -39,7 +39,7 @@ inverted = true
 
 @pytest.fixture
 def problems_of(tmp_path):
-    """The rows that a text gives, without the file's name."""
+    """Return a function that gives the errors of a robot file's text, without the file's name."""
 
     def read(text, overrides=()):
         path = tmp_path / "robot.toml"

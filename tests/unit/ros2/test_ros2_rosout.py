@@ -11,7 +11,7 @@ log = logging.getLogger("motord.test")
 
 
 class Topic:
-    """What was published, encoded and decoded again."""
+    """Keeps the published messages, encoded and decoded again."""
 
     def __init__(self):
         self.sent = []
