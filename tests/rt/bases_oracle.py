@@ -16,7 +16,7 @@ RADIUS_M = 0.05
 def omni(place_m: Sequence[float], rolling_rad: float) -> np.ndarray:
     """Return the wheel's row: the floor's speed at the contact point, in the rolling direction."""
     x, y = place_m
-    ground = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])  # of the contact point: v + w × p
+    ground = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])  # speed of the contact point: v + w × p
     return np.array([math.cos(rolling_rad), math.sin(rolling_rad)]) @ ground
 
 

@@ -27,7 +27,7 @@ class Bounds:
     deceleration_u_s2: float
     """Limit while the speed moves towards zero."""
     jerk_u_s3: float
-    """Infinity: no limit."""
+    """Limit of the jerk; infinity: no limit."""
 
 
 @dataclass(frozen=True)

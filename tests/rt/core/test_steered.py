@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bases whose wheels are steered, on the core: kinematics, limits of every joint, stops, odometry,
-and what happens where a wheel is not at its angle."""
+and the reaction to a wheel that is not at its angle."""
 
 import math
 

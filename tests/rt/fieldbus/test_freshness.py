@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a stamp is fresh: one rule for the core, the lines in C and the lines in asyncio."""
+"""The rule by which a stamp is fresh: one for the core, the lines in C and the lines in asyncio."""
 
 import os
 import subprocess

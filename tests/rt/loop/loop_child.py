@@ -13,7 +13,7 @@ from tests.rt.small_base import LIMITS, arm, core_config, report_wheels, setting
 from motord.realtime import loop as rt
 from motord_hal.realtime.exchange import now_ns
 
-MADV_DONTNEED, MADV_DONTDUMP = 4, 16  # asm-generic/mman-common.h
+MADV_DONTNEED, MADV_DONTDUMP = 4, 16  # from asm-generic/mman-common.h
 
 
 def refused() -> None:

@@ -224,7 +224,7 @@ def test_the_thread_treats_denormal_numbers_as_zero():
             return loop.read_state().linear_m_s != 0
 
         until(lambda: received(1e-3))  # so that the feedback goes into the measured speed
-        until(lambda: not received(1e-307))  # times 0.1 m: a denormal
+        until(lambda: not received(1e-307))  # times the radius of 0.1 m it is a denormal number
         assert loop.read_state().joints[0].velocity_rad_s == 1e-307
 
 

@@ -16,7 +16,7 @@ from tests.rt.core_rig import RAD_PER_COUNT, RADIUS_M, TRACK_M, core_config, joi
 
 STEP_NS = 10_000_000
 STEP_S = 0.01
-LOOK_NS = 50_000_000  # SPREAD_EVERY_NS of csrc/core/core.h
+LOOK_NS = 50_000_000  # SPREAD_EVERY_NS in csrc/core/core.h
 LEFT, RIGHT = 0, 1
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which process owns the file of the state page."""
+"""Ownership of the state page's file: one process holds it."""
 
 import contextlib
 import os

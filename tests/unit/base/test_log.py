@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log as the journal receives it on its socket, and as a reader of stderr does."""
+"""The log, as the journal receives it on its socket and as it arrives on stderr."""
 
 import contextlib
 import os

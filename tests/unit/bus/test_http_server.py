@@ -109,7 +109,7 @@ async def test_the_oldest_of_too_many_idle_connections_makes_room(monkeypatch, p
 
 @contextlib.contextmanager
 def asking(port, path, received_bytes):
-    """A client that has sent its request; its socket buffers about `received_bytes` of answer."""
+    """Yield a client that has sent a request; its socket buffers about `received_bytes`."""
     with socket.socket() as client:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, received_bytes)
         client.connect(("127.0.0.1", port))

@@ -130,7 +130,7 @@ async def test_why_a_trace_has_ended_is_shown(carried_out_by, tmp_path, script, 
     traces = Traces(tmp_path / "socket")
     async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
         work = tasks.create_task(traces.run())
-        await asyncio.sleep(0)  # it begins
+        await asyncio.sleep(0)  # the task begins
         traces.show(page, "a")
         trace = json.loads(await page.sent.get())["trace"]
         assert trace == {"line": "a", "problem": problem}
@@ -142,7 +142,7 @@ async def running(part):
     """Run a part of a dashboard during the block; it must not end by itself."""
     async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
         work = tasks.create_task(part.run())
-        await asyncio.sleep(0)  # it begins
+        await asyncio.sleep(0)  # the task begins
         yield
         assert not work.done()
         work.cancel()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The real-time line's table gives what the plan of the asyncio engine computes."""
+"""The table of a real-time line has the same result as the plan of the asyncio engine."""
 
 import math
 from dataclasses import replace

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The load works while its block runs, and is gone afterwards."""
+"""The load of `motord latency` works while its block runs, and is gone afterwards."""
 
 import os
 import signal

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wheel radius and track from a distance that a person has measured."""
+"""Calibration of wheel radius and track with a distance that a person has measured."""
 
 import math
 

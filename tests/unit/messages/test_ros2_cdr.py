@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CDR, byte by byte as two other encoders write it."""
+"""CDR, compared byte by byte with two other encoders."""
 
 import random
 from types import SimpleNamespace

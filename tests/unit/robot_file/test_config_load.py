@@ -271,7 +271,7 @@ def test_junk_in_a_line_is_refused_in_that_line_or_is_a_finite_number(tmp_path_f
     robot, problems = try_to_load(path)
     assert all(row.file == str(path) and 1 <= row.line <= len(lines) for row in problems)
     if robot is None:
-        between = ("safety.", "joint.", "limits", "line.")  # rules between values
+        between = ("safety.", "joint.", "limits", "line.")  # keys of rules between several values
         assert any(row.line == line or row.key.startswith(between) for row in problems)
         return
     assert min(robot.limits.linear_m_s3, robot.limits.angular_rad_s3) > 0

@@ -42,7 +42,7 @@ class Node:
 
 
 class Bench:
-    """A server whose goals last until they are released or cancelled."""
+    """A server whose goals last until `go` is set or they are cancelled."""
 
     def __init__(self, name="drive_distance", turn=None):
         self.node, self.go, self.turn = Node(), asyncio.Event(), turn or Turn()

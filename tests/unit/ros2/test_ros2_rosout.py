@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log of a node on /rosout."""
+"""The log of a ROS 2 node, published on /rosout."""
 
 import asyncio
 import logging
