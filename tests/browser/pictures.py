@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Take the pictures of the dashboard in docs/pictures, on a simulated robot: all, or those named.
+"""The pictures of the dashboard in docs/pictures, of a simulated robot: all, or those named.
 
 python -m tests.browser.pictures
 python -m tests.browser.pictures overview fault
