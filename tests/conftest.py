@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every test folder shares. `MOTORD_RT_DIR` puts another build of the C core first (make san).
-Property tests have no deadline: a busy machine is no bug. Each run draws new cases, most of them in
-`make san`. Programs that tests start use bytecode: without it, each of some thousand starts
+"""Settings and fixtures of all tests. `MOTORD_RT_DIR` puts another build of the C core first (make
+san). Property tests have no deadline: a busy machine is no bug. Each run draws new cases, most of
+them in `make san`. Programs that tests start use bytecode: without it, each of some thousand starts
 compiles a hundred modules again."""
 
 import contextlib
@@ -19,7 +19,7 @@ from hypothesis import settings
 from tests import fork_server
 from tests.late_machine import pytest_runtest_protocol, pytest_terminal_summary  # noqa: F401  hooks
 
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # containers set it
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # set in containers
 sys.dont_write_bytecode = False
 
 if directory := os.environ.get("MOTORD_RT_DIR"):
@@ -29,11 +29,11 @@ if directory := os.environ.get("MOTORD_RT_DIR"):
 TESTS = Path(__file__).parent
 CPUS = os.cpu_count() or 1
 LANES = {"page": max(1, CPUS // 2), "robot": CPUS + CPUS // 2}
-"""Robots that run at once, and those among them with browser pages. Each is three to seven
-programs: with more of them every one is late, fails, and runs again."""
+"""Numbers of lanes, each with one robot at a time; only "page" lanes run browser pages. A robot is
+three to seven programs: with more lanes every one is late, fails, and runs again."""
 OTHERS = ("browser", "peers")
-"""Folders of tests that need programs of other projects. With the tests marked long they take the
-machine longer than all the rest."""
+"""Folders of tests that need programs of other projects. These tests and those marked long take
+longer than all others together."""
 OPEN_TO = {"browser": ("page",), "sim": ("page", "robot"), "peers": ("page", "robot")}
 LONG_S = {
     "test_partition": 32, "test_calibrate": 24, "test_can_robot": 13, "test_bus_faults": 12,
@@ -43,19 +43,19 @@ LONG_S = {
     "test_stop_under_flood": 4, "test_ros2_package": 4, "test_fuzz_short": 4, "test_dashboard": 4,
     "test_strafe": 3, "test_bus_process": 3, "test_ros2_actions": 3,
 }  # fmt: skip
-"""Duration of one test of these files; in all other files of a lane it is USUAL_S."""
+"""Mean duration of a test by file, in s; in all other files of a lane it is USUAL_S."""
 USUAL_S = 1.5
 
 
 @functools.cache
 def kind_of(path):
-    """The folder of tests/ that it is in, at any depth."""
+    """Return the folder of tests/ that contains `path` at any depth; empty outside tests/."""
     return path.relative_to(TESTS).parts[0] if path.is_relative_to(TESTS) else ""
 
 
 def lanes(items):
-    """The lane of each file that starts robots: files with pages first, which have the fewest
-    lanes, then the longest files, each to the lane with the least work."""
+    """Return the lane of each file that starts robots: files with pages come first, because they
+    have the fewest lanes, then the longest files; each goes to the lane with the least work."""
     tests = Counter(item.path for item in items if kind_of(item.path) in OPEN_TO)
     files_s = {path: count * LONG_S.get(path.stem, USUAL_S) for path, count in tests.items()}
     kinds = {path: OPEN_TO[kind_of(path)] for path in tests}
@@ -75,12 +75,13 @@ def pytest_addoption(parser):
 
 
 def is_without_long(config):
-    """Whether to leave out tests of `make test-all` only; a test that you name is always run."""
+    """Return whether to leave out the tests that only `make test-all` runs. A test that you name is
+    always run."""
     return config.option.without_long and not config.option.file_or_dir
 
 
 def pytest_ignore_collect(collection_path, config):
-    """test_tidy.py is run only by its name, as in `make check`."""
+    """Leave out OTHERS with --without-long, and test_tidy.py unless its name is given."""
     left_out = is_without_long(config) and kind_of(collection_path) in OTHERS
     tidy = collection_path.name == "test_tidy.py" and not config.option.file_or_dir
     return True if left_out or tidy else None
@@ -94,8 +95,8 @@ def leave_out_long(items, config):
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection_modifyitems(items, config):
-    """Tests of a lane, and tests that share a fixture of their file, stay in one process of `--dist
-    loadgroup`, which looks for the mark in this hook; all others go to any free process."""
+    """Keep the tests of a lane, and tests that share a fixture of their file, in one process: mark
+    them for `--dist loadgroup`, which reads the mark in this hook. Others go to any process."""
     if is_without_long(config):
         leave_out_long(items, config)
     lane_of = lanes(items)
@@ -105,8 +106,8 @@ def pytest_collection_modifyitems(items, config):
             item.add_marker(pytest.mark.xdist_group(lane))
         elif any(found[-1].scope == "module" for found in definitions if found):
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
-    yield  # they are shuffled
-    items.sort(key=lambda item: item.path not in lane_of)  # the longest begin first
+    yield  # other plugins shuffle the tests
+    items.sort(key=lambda item: item.path not in lane_of)  # files of lanes take longest: first
 
 
 GROUP = re.compile(rf"@({'|'.join(LANES)}) \d+$")
@@ -114,8 +115,8 @@ GROUP = re.compile(rf"@({'|'.join(LANES)}) \d+$")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_logreport(report):
-    """The main process names a test without its group: so `--last-failed` finds a failed test with
-    or without groups, and so do you by a copied name."""
+    """Remove the group from a test's name in the main process: `--last-failed`, and you with a
+    copied name, find a failed test with or without groups."""
     if "PYTEST_XDIST_WORKER" not in os.environ:
         name = GROUP.sub("", report.nodeid)
         report.nodeid = name.removesuffix("@" + name.partition("::")[0])
@@ -123,7 +124,7 @@ def pytest_runtest_logreport(report):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """No garbage collection during collection: all that it creates stays."""
+    """Switch garbage collection off while tests are collected: all objects of this time stay."""
     gc.disable()
     try:
         return (yield)
@@ -132,8 +133,8 @@ def pytest_collection():
 
 
 def pytest_collection_finish():
-    """Seven thousand tests and their modules live as long as the process: the garbage collector
-    does not scan them again."""
+    """Exclude the present objects from garbage collection: seven thousand tests and their modules
+    live as long as the process."""
     gc.collect()
     gc.freeze()
 
@@ -160,5 +161,5 @@ def _no_descriptor_left():
 
 @pytest.fixture
 def no_descriptor_left():
-    """For a block in which this process gets a descriptor only where it has closed another one."""
+    """A context manager in whose block this process gets a descriptor only after closing one."""
     return _no_descriptor_left

@@ -40,7 +40,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PEERS = ("tests.peers.ros2.ros2_peer", "tests.sim.straight_on")
 HOGGED = "tests.sim.hogged_daemon"
-"""It calls motord's main(), so it is prepared like motord."""
+"""Program that calls motord's main(); it is prepared like motord."""
 MODULES = ("motord", "motord.config", "motord.bus", *PEERS, HOGGED)
 STARTS = {
     "run": (("motord.config",), ("motord.bus",)),
@@ -54,14 +54,14 @@ LATER = {
     "stop-all": (CONFIG, f"{RS485}line", f"{RS485}modbus_frames"),
     **dict.fromkeys(("status", "arm", "disarm", "drive", "stop", "estop", "reset", "params"), ()),
 }
-"""What a command imports after it has read its arguments, unless it is the robot file's reader."""
+"""Modules that a command imports after it has read its arguments; other commands: CONFIG."""
 AT_TERMINAL = ("setsid", "--ctty", "--wait")
 """Prefix of a command whose standard input becomes its controlling terminal."""
 BUILT_IN = ("PYTHON", "LD_", "COVERAGE", "MALLOC_", "GLIBC_")
 """Prefixes of variables that Python or its libraries read once, at the start."""
 REQUEST_BYTES_MAX, FDS_MAX = 1 << 17, 32
 NAME_BYTES = 4096
-"""Room for the command lines of the children."""
+"""Size of the server's command line: room for the command lines of its children."""
 ANSWER_WITHIN_S = 100.0
 ABOVE = 500
 """Descriptors from this number on are free in a server's child."""
@@ -71,10 +71,11 @@ _LIMITS = [getattr(resource, name) for name in dir(resource) if name.startswith(
 _libc = ctypes.CDLL(None, use_errno=True)
 _real = subprocess._fork_exec
 _PYTHON = sys.executable
-"""A test may put another program in its place."""
+"""The real interpreter: a test may put another program in the place of sys.executable."""
 _read = []
 _worlds = {}
-"""Modules of motord by whether they read robot files themselves: motord/base/validation.py."""
+"""motord's modules for a process that reads robot files itself (False) or not (True): see HERE in
+motord/base/validation.py. "now": the installed ones."""
 
 
 # ------------------------------------------------------------------------------------ a client
@@ -95,7 +96,7 @@ class Client:
             os.waitpid(self._pid, 0)
 
     def __call__(self, *given):
-        """As `_posixsubprocess.fork_exec`: the process number."""
+        """Start a program like `_posixsubprocess.fork_exec`; return its process number."""
         request = None if self.off else _request(given)
         if request is None or self._like != (_surroundings(), _built_in(request["environ"])):
             return _real(*given)
@@ -116,7 +117,7 @@ class Client:
 
 
 def _request(given):
-    """The request for a server; None for a program that has to be started by exec."""
+    """Return the request for a server; None for a program that has to be started by exec."""
     (words, paths, close_fds, keep, cwd, env, stdin, _, _, stdout, _, stderr, _, pipe,
      _, new_session, group, gid, gids, uid, umask, preexec, *_) = given  # fmt: skip
     words = [os.fsdecode(word) for word in words]
@@ -153,7 +154,7 @@ def _built_in(environ):
 
 
 def _surroundings():
-    """What a child inherits from the process that forks it, and a request cannot set."""
+    """Return what a child inherits from the process that forks it, and a request cannot set."""
     limits = [resource.getrlimit(number) for number in _LIMITS]
     names = [os.readlink(_NETWORK), os.readlink(_MOUNTS)]
     turn = os.getpriority(os.PRIO_PROCESS, 0), os.sched_getscheduler(0), os.sched_getaffinity(0)
@@ -163,7 +164,7 @@ def _surroundings():
 
 
 def install():
-    """From now on. A server starts with its first request."""
+    """Use a fork server from now on. The server starts with its first request."""
     if not any(name.startswith("COVERAGE") for name in os.environ):
         subprocess._fork_exec = _first
 
@@ -177,7 +178,7 @@ def _first(*given):
     with theirs:
         server = subprocess.Popen(command, pass_fds=[theirs.fileno()], cwd=ROOT)
     client = Client(ours, server.pid)
-    server.returncode = 0  # the client waits for it
+    server.returncode = 0  # so that subprocess does not wait for it: the client does
     atexit.register(client.close)
     subprocess._fork_exec = client
     return client(*given)
@@ -185,7 +186,7 @@ def _first(*given):
 
 @contextlib.contextmanager
 def started_from_nothing():
-    """Programs that start in this block are started by exec."""
+    """Start the programs of this block by exec."""
     before, subprocess._fork_exec = subprocess._fork_exec, _real
     try:
         yield
@@ -195,8 +196,8 @@ def started_from_nothing():
 
 # ------------------------------------------------------------------------------------ the server
 def serve(end):
-    """Serves until the other end is closed, which ends the process. Returns in the children only:
-    what they are to run."""
+    """Serve until the other end is closed, which ends the process. Return in the children only: the
+    request that they have to run."""
     while True:
         raw, fds, _, _ = socket.recv_fds(end, REQUEST_BYTES_MAX, FDS_MAX)
         if not raw:
@@ -214,7 +215,7 @@ def serve(end):
 
 
 def _fork(end):
-    """Whether this process is the child, adopted by the process at the other end."""
+    """Fork twice; return True in the child, which the process at the other end has adopted."""
     assert len(os.listdir("/proc/self/task")) == 1, "no thread but this one lives on in a child"
     gc.freeze()
     middle = os.fork()
@@ -230,7 +231,7 @@ def _fork(end):
 
 
 def _prepare(module, words):
-    """Imports what the program and those that it starts import, and prepares what they read."""
+    """Import what the program and those that it starts import, and prepare what they read."""
     module = "motord" if module == HOGGED else module
     command = words[0] if module == "motord" and words else ""
     for other, *its_words in STARTS.get(command, ()):
@@ -247,7 +248,8 @@ def _prepare(module, words):
 
 
 def _enter(plain):
-    """Installs motord's modules for a process that reads robot files itself, or does not."""
+    """Install motord's modules for a process that leaves robot files to another one (`plain`), or
+    that reads them itself."""
     if _worlds.get("now") is plain:
         return
     modules = {
@@ -263,14 +265,14 @@ def _enter(plain):
 
 
 def _imports(module, command):
-    """Imports of the program, also those after it has read its robot file."""
+    """Yield the modules that the program imports, also after it has read its arguments."""
     if module == "motord.bus":
         yield "motord.bus.process"
     elif module == "motord.config":
         yield "motord.config.load"
     elif module in PEERS:
         yield module
-        del sys.modules[module]  # its imports stay; it is run as __main__
+        del sys.modules[module]  # it is run as __main__; the modules that it imports stay
     elif module == "motord":
         yield "motord.cli"
         if where := importlib.import_module("motord.cli").COMMANDS.get(command):
@@ -279,8 +281,8 @@ def _imports(module, command):
 
 
 def _read_once():
-    """One robot file with drives of each kind of table: pydantic makes its validators when they
-    are first used, which costs ten times what reading a file does."""
+    """Read two robot files, with drives of each kind of table: pydantic makes its validators on
+    their first use, which takes ten times as long as reading a file."""
     if not _read:
         answer = sys.modules[CONFIG].answer
         files = [ROOT / f"config/robots/{name}.toml" for name in ("demo", "cia402-two")]
@@ -288,7 +290,7 @@ def _read_once():
 
 
 def _adapters(words):
-    """Modules of the kinds of buses that the options set."""
+    """Yield the modules of the kinds of buses that the options set."""
     adapters = importlib.import_module("motord.bus.adapters")
     for kind in re.findall(r"\.kind=([\w-]+)", " ".join(words)):
         for table in (adapters.PUBLISHERS, adapters.INPUTS):
@@ -297,7 +299,7 @@ def _adapters(words):
 
 
 def _become(request, fds, end):
-    """Turns this process into the one that exec would have made. Returns what it is to run."""
+    """Turn this process into the one that exec would have made; return the request to run."""
     if request["new_session"]:
         os.setsid()
     elif request["group"] >= 0:
@@ -320,7 +322,7 @@ def _become(request, fds, end):
     if starts:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         if os.fork() == 0:
-            ours.close()  # now: its finalizer would close a later file with this number
+            ours.close()  # at once: its finalizer would close a later file with this number
             return serve(_alone(theirs))
         theirs.close()
         client = Client(ours)
@@ -333,7 +335,7 @@ def _become(request, fds, end):
 
 
 def _show_as(words):
-    """Sets /proc/self/cmdline, in the memory of the server's own command line: proc_pid_stat(5)."""
+    """Set /proc/self/cmdline, in the memory of the server's own command line: proc_pid_stat(5)."""
     with open("/proc/self/stat", encoding="ascii") as file:
         begin, end = (int(field) for field in file.read().rpartition(")")[2].split()[45:47])
     raw = b"".join(os.fsencode(word) + b"\0" for word in words)[: end - begin - 1]
@@ -342,7 +344,7 @@ def _show_as(words):
 
 
 def _alone(end):
-    """The socket, in a process that has no other descriptor and no terminal's signals."""
+    """Return the socket; close all other descriptors and open /dev/null as 0, 1 and 2."""
     keep = fcntl.fcntl(end.detach(), fcntl.F_DUPFD_CLOEXEC, 2 * ABOVE)
     os.closerange(0, 2 * ABOVE)
     for fd in range(3):
@@ -352,7 +354,8 @@ def _alone(end):
 
 
 def _open_standard():
-    """Opens them like Python's start: terminals and stderr buffer by lines, all else by blocks."""
+    """Open stdin, stdout and stderr like Python at its start: terminals and stderr buffer by lines,
+    all else by blocks."""
     unbuffered = bool(os.environ.get("PYTHONUNBUFFERED"))
     encoding = sys.__stdout__.encoding
     for fd, name, errors in (
@@ -388,8 +391,8 @@ def main():
 
 
 def _ended():
-    """Ends like Python, but keeps imported modules: to tear them down would copy the memory that
-    this process shares with its server. False: Python has to report an error."""
+    """End like Python, but keep the imported modules: to release them would copy the memory that
+    this process shares with its server. Return False if Python has to report an error."""
     threading._shutdown()
     atexit._run_exitfuncs()
     gc.collect()

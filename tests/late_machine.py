@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of deadlines are valid only while the machine gives every process its time. During
-each test a thread measures this. A test that fails while the machine was late is run again, at most
-three times, as long as its runs together took at most AGAIN_MAX_S; the summary names each with what
-was measured. A test that fails while the machine was in time, or that does not end, has failed.
+"""Repeats tests that fail on a late machine: deadlines are valid only while every process gets its
+time. During each test a thread measures this. A test that fails while the machine was late is run
+again, at most three times, as long as its runs together took at most AGAIN_MAX_S; the summary names
+it and the measured figures. A test that fails on a machine in time, or does not end, has failed.
 Before the next run the machine gets some time to become less busy: an immediate run makes it
 busier, and then another test fails.
 """
@@ -16,20 +16,20 @@ from _pytest.runner import runtestprotocol
 
 LOOK_EVERY_S = 0.05
 LATE_S = 0.05
-"""A thread that wakes later than this shows a late machine."""
+"""The machine is late if a thread wakes later than this."""
 CROWD = 2.0
-"""So do more runnable processes for each processor than this, on average."""
+"""The machine is late if it has more runnable processes for each processor than this on average."""
 RUNS_MAX = 4
 AGAIN_MAX_S = 130.0
 CALM_LOOK_S, CALM_WITHIN_S = 0.5, 10.0
-"""How long the machine has to be in time before the next run, and the longest wait for it."""
+"""How long the machine must be in time before the next run, and the longest wait for that."""
 _NAME = "late machine"
 _LOAD_FD = os.open("/proc/loadavg", os.O_RDONLY | os.O_CLOEXEC)
-"""Never closed: some tests use up all descriptors."""
+"""Open descriptor of /proc/loadavg; never closed, because some tests use up all descriptors."""
 
 
 class Watch:
-    """Measures the lateness of the machine while it is entered."""
+    """A context manager that measures how late the machine is during its block."""
 
     def __init__(self):
         self.late_s = 0.0
@@ -68,12 +68,12 @@ class Watch:
 
 
 def runnable():
-    """How many processes are runnable now: proc(5), /proc/loadavg, the fourth field."""
+    """Return the number of other runnable processes: proc(5), /proc/loadavg, the fourth field."""
     return int(os.pread(_LOAD_FD, 100, 0).split()[3].partition(b"/")[0]) - 1
 
 
 def calm_down():
-    """Waits until the machine is in time again, at most CALM_WITHIN_S."""
+    """Wait until the machine is in time again, at most CALM_WITHIN_S."""
     end_s = time.monotonic() + CALM_WITHIN_S
     late = True
     while late and time.monotonic() < end_s:
@@ -83,7 +83,8 @@ def calm_down():
 
 
 def hung(report):
-    """Whether pytest-timeout ended it: no machine is late so long, and a new run takes as long."""
+    """Return whether pytest-timeout ended the test. It is not run again: no machine is late for so
+    long, and a new run takes as long."""
     return "Failed: Timeout" in report.longreprtext
 
 

@@ -5,5 +5,5 @@ import pytest
 
 
 def long_but(few, cases):
-    """Marks each of `cases` long that is not among `few`."""
+    """Return `cases`, with the mark `long` on each that is not among `few`."""
     return [pytest.param(case, marks=() if case in few else pytest.mark.long) for case in cases]

@@ -7,4 +7,4 @@ from motord.config.drives.load import find_profile, list_profiles
 
 NAMES = tuple(list_profiles())
 shipped_profile = functools.cache(find_profile)
-"""By name. Profiles are immutable; `dataclasses.replace` makes changed copies."""
+"""Returns the profile of a name. It is immutable; `dataclasses.replace` makes changed copies."""

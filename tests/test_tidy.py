@@ -16,7 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def project_files() -> list[Path]:
-    """What git tracks or would track; from an unpacked archive, all but what make made."""
+    """Return the files that git tracks or would track; in an unpacked archive, all but those that
+    make has made."""
     listing = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -76,7 +77,7 @@ def matching(paths: list[Path], pattern: str) -> list[str]:
 
 
 def long_lines(paths: Iterable[Path]) -> Iterator[tuple[str, str]]:
-    """Place and text of each."""
+    """Yield the place and text of each line that is longer than COLUMNS_MAX."""
     for path in sorted(paths):
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
             if len(line) > COLUMNS_MAX:
@@ -89,7 +90,7 @@ def test_lines_fit_a_screen():
 
 
 def test_settings_fit_a_screen():
-    """But for a string of TOML, or a setting of systemd or udev, which are written on one line."""
+    """A string of TOML, or a setting of systemd or udev, may be longer: it needs one line."""
     setting = re.compile(r'[\w.-]+ = "(?:[^"\\]|\\.)*"|[A-Z].*')
     paths = [
         path
@@ -101,7 +102,7 @@ def test_settings_fit_a_screen():
 
 
 def prose(path: Path) -> list[tuple[int, str]]:
-    """Lines of a page by number, without tables and code."""
+    """Return the lines of a page, with their numbers, without tables and code."""
     found, fenced = [], False
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
         fenced ^= line.lstrip().startswith("```")
@@ -187,7 +188,7 @@ def test_the_core_takes_no_memory():
 
 
 def test_the_daemon_never_forks():
-    # a process of its own, which forks in order to delay a loop
+    # the exception: a process of its own, which forks in order to delay a loop
     hog = ROOT / "daemon/motord/tools/latency/burner.py"
     daemon = [path for path in PRODUCT if path != hog]
     report(matching(daemon, r"\bos\.fork|\bpty\.fork|forkserver|set_start_method\(.fork"),
@@ -232,7 +233,7 @@ def test_no_machine_of_a_builder_shows():
 
 
 def test_headers_of_csrc_point_downwards():
-    """loop and page know the core; the core knows the pure files; the pure files know nothing."""
+    """Headers for threads, schedulers and mappings are included only by the files named here."""
     allowed = {
         "pthread.h": {"loop", "line_thread", "output_pwm", "bus"},
         "sched.h": {"loop"},
@@ -329,7 +330,7 @@ def test_no_test_module_imports_another():
         for path in PYTHON
         if path.relative_to(ROOT).parts[0] == "tests"
         for row in matching([path], r"^\s*(from|import) (tests\.)?((?!aiohttp)\w+\.)?test_\w+")
-        if not re.search(rf"\b{path.stem}( as| import|$)", row.partition(": ")[2])  # its own child
+        if not re.search(rf"\b{path.stem}( as| import|$)", row.partition(": ")[2])  # by its child
     ]
     report(rows, "what two test modules share is a module of its own")
 
@@ -346,7 +347,7 @@ C_TEXT = re.compile(r'/\*.*?\*/|//[^\n]*|"(?:\\.|[^"\\])*"|\'(?:\\.|[^\'\\])*\''
 
 
 def names_in(path: Path) -> set[str]:
-    """Every name in the code, without comments and strings."""
+    """Return every name in the code, without comments and strings."""
     text = path.read_text(encoding="utf-8")
     if path.suffix != ".py":
         return set(re.findall(r"[A-Za-z_]\w*", C_TEXT.sub(" ", text)))
@@ -395,7 +396,7 @@ PRIVATE_COMMENT = re.compile(
 
 
 def comments_in(path: Path) -> Iterator[tuple[int, str]]:
-    """Every line of a comment or docstring, with its number."""
+    """Yield every line of a comment or docstring, with its number."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".py":
         for token in tokenize.generate_tokens(io.StringIO(text).readline):
@@ -408,7 +409,7 @@ def comments_in(path: Path) -> Iterator[tuple[int, str]]:
             yield from enumerate(found[0].splitlines(), first)
 
 
-# Tests keep the terms of the glossary, too: names, comments, docstrings. This file names them.
+# Names, comments and docstrings of tests are checked too, but not here: this file lists the words.
 TESTED = [
     path
     for path in PYTHON + C
@@ -428,7 +429,7 @@ def test_comments_are_in_the_terms_of_the_glossary(paths):
 
 
 def messages_in(path: Path) -> Iterator[tuple[int, str]]:
-    """Every string of the code that is no docstring, with its line."""
+    """Yield every string of the code that is no docstring, with its line number."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     bodies = (getattr(node, "body", None) for node in ast.walk(tree))
     texts = {

@@ -38,7 +38,7 @@ TRUTH = {
     "base.track_m": 0.96 * TRACK_M,
 }
 TRIES = 4
-"""A busy machine may hold up the simulated robot for too long."""
+"""Tries of a step: a busy machine may hold up the simulated robot for too long."""
 HEAD = """\
 # From new parts to a calibrated base
 
@@ -59,7 +59,8 @@ class Walk:
         self.parts, self.times = [HEAD], []
 
     def step(self, title, words, replies, socket=None):
-        """`socket`: a daemon, whose fault is reset before the next try."""
+        """Run a command with these replies, up to TRIES times; add it and return its exit status.
+        `socket`: the daemon whose fault is reset before the next try, or None."""
         for _ in range(TRIES):
             began_s = time.monotonic()
             with at_terminal(*words) as screen:
@@ -73,7 +74,7 @@ class Walk:
         return self.add(title, " ".join(["motord", *map(str, words)]), screen.text, took_s, status)
 
     def add(self, title, command, text, took_s, status):
-        """Adds a completed step; returns its exit status."""
+        """Add a completed step; return its exit status."""
         self.times.append((title, took_s))
         kept = re.sub(r"[ \t]+\n", "\n", shown(text)).strip()
         session = f"$ {shown(command)}\n{kept}"
@@ -91,7 +92,7 @@ class Walk:
 
 
 def rested(socket):
-    """Waits for an idle daemon; resets a fault that a busy machine has caused."""
+    """Wait until the daemon is idle; reset a fault that a busy machine has caused."""
     end_s = time.monotonic() + DEADLINE_S
     with Client(socket) as robot:
         while (status := robot.status()).state != "idle":
@@ -105,7 +106,7 @@ PLACES = {}
 
 
 def shown(text):
-    """The text without the folder names of this recording."""
+    """Return the text without the folder names of this recording."""
     text = str(text)
     for path in sorted(PLACES, key=len, reverse=True):
         text = text.replace(path, PLACES[path])
@@ -136,7 +137,7 @@ def running(file, folder, name, *settings):
 
 
 def cloned(walk, folder):
-    """Builds a clone and drives a simulated robot with it."""
+    """Build a clone and drive a simulated robot with it."""
     began_s = time.monotonic()
     place = folder / "motord"
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(place)], check=True, timeout=120)
@@ -161,7 +162,7 @@ ANSWERS = {
 
 
 def main():
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # no daemon is left behind
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that `finally` ends the daemon
     walk, status = Walk(), 0
     PLACES[str(ROOT)] = "/opt/motord"
     with tempfile.TemporaryDirectory() as made:
@@ -185,7 +186,7 @@ def on_a_serial_port(walk, folder):
         with running(file, folder, "cart", *SLOW, *SURE) as socket:
             status += spun(walk, "ZLAC8015D", socket)
             status += calibrated(walk, sim.control, socket)
-        with running(file, folder, "cart", *SLOW, *SURE) as socket:  # with the calibrated values
+        with running(file, folder, "cart", *SLOW, *SURE) as socket:  # uses the calibrated values
             return status + driven(walk, "ZLAC8015D", sim.control, socket)
 
 
@@ -210,7 +211,7 @@ def spun(walk, drives, socket):
 
 
 def powered(terminal, socket):
-    """Whether the robot is armed; if not, the key for it is pressed, repeatedly if needed."""
+    """Return whether the robot is armed; press the key to arm if idle, to reset if in fault."""
     with Client(socket) as robot:
         state = robot.status().state
     if state in ("idle", "fault"):
@@ -221,7 +222,7 @@ def powered(terminal, socket):
 
 
 def driven(walk, drives, sim, socket):
-    """A key is held until the robot has driven half a metre, another until it has turned."""
+    """Hold a key until the robot has driven half a metre, and another until it has turned."""
     began_s = time.monotonic()
     sim.reset_truth()
     with keyboard("teleop", "--socket", str(socket), "--first-s", "1.0") as terminal:

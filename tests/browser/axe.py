@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Findings of axe-core on a page. Without it a test is skipped and prints how to install it."""
+"""Findings of axe-core on a page. Without axe-core a test is skipped and shows the installation."""
 
 import json
 import os
@@ -11,7 +11,7 @@ AXE = os.environ.get("MOTORD_AXE", "build/node/node_modules/axe-core/axe.min.js"
 
 
 def axe_violations(page, *rules):
-    """Rule, impact, element and explanation of each; of all rules, or of these."""
+    """Return the violations of these rules, or of all: (rule, impact, element, explanation)."""
     if not os.path.exists(AXE):
         pytest.skip("no axe-core here: npm install --prefix build/node axe-core")
     wanted = {"resultTypes": ["violations"], **({"runOnly": rules} if rules else {})}

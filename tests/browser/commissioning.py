@@ -12,7 +12,7 @@ from motord.client import ClientError
 
 ENDED = ".ended"
 STOP_ABANDONED = "document.querySelector('.why') && document.querySelector('.halt')?.click()"
-"""Where a note shows that this page does not conduct the procedure."""
+"""Script that presses Stop where a note shows that this page does not conduct the procedure."""
 BUTTONS = ("Yes", "No", "Forward", "Backward", "No wheel turned", "Another wheel", "Normal")
 RADIUS_M, TRACK_M = 0.0825, 0.45
 TRUE_LEFT_M, TRUE_RIGHT_M, TRUE_TRACK_M = 1.03 * RADIUS_M, 1.02 * RADIUS_M, 0.96 * TRACK_M
@@ -27,14 +27,14 @@ def truth(*settings):
 
 
 def open_page(page, title):
-    """Opens the form of one procedure."""
+    """Open the form of the procedure with this title."""
     page.evaluate("location.hash = 'commission'")
     form = page.get_by_role("button", name=title, exact=True)
     another = page.get_by_role("button", name="Another procedure", exact=True)
 
     def listed():
-        """The procedure before may end only now, and its end is shown until it is closed. On a busy
-        machine it may still have an open question."""
+        """Close what is shown of the last procedure; return whether this one is listed. On a busy
+        machine the last one may end only now, or still have an open question."""
         page.evaluate(STOP_ABANDONED)
         if another.count():
             another.click()
@@ -45,7 +45,7 @@ def open_page(page, title):
 
 
 def fill(page, **values):
-    """Fills in fields by their labels."""
+    """Fill in fields by their labels (with _ for a space)."""
     for label, value in values.items():
         page.get_by_label(label.replace("_", " ")).fill(str(value))
 
@@ -55,22 +55,22 @@ def begin(page):
 
 
 def answers(page, replies):
-    """Answers each question until the end; `replies`: pattern of a question → a button's name, a
-    number, or a function that returns one. Returns the text of the end."""
+    """Answer each question until the end; return the text of the end. `replies`: pattern of a
+    question → a button's name, a number, or a function that returns one of these."""
     while True:
         wait_until(
             lambda: page.locator(ENDED).count() or asked_text(page), "a question, or the end"
         )
         if page.locator(ENDED).count():
             return page.locator(f"{ENDED} .asks").inner_text()
-        if question := asked_text(page):  # empty: it was closed meanwhile
+        if question := asked_text(page):  # empty: the question was closed meanwhile
             known = [one for pattern, one in replies.items() if re.search(pattern, question)]
             assert known, question
             give(page, known[0]() if callable(known[0]) else known[0])
 
 
 def asked_text(page):
-    """The text of the open question; empty without one."""
+    """Return the text of the open question; empty without one."""
     return page.evaluate("document.querySelector('.question.open .asks')?.innerText ?? ''")
 
 
@@ -101,7 +101,7 @@ def rests_without_power(stage):
 
 
 class Floor:
-    """Measures the simulated robot as with a tape and marks on the floor."""
+    """Measures the simulated robot like a person with a tape and marks on the floor."""
 
     def __init__(self, robot):
         self._sim = robot.stage.sim

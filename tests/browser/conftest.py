@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot with a dashboard, and a headless Chromium. Tests without either are skipped."""
+"""Fixtures: a robot with a dashboard, and a headless Chromium. Without one a test is skipped."""
 
 import shutil
 

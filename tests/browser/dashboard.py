@@ -26,9 +26,9 @@ CHEAP_ARGUMENTS = (
     "--in-process-gpu", "--disable-software-rasterizer", "--num-raster-threads=1",
     "--renderer-process-limit=1", f"--disable-features={','.join(UNNEEDED)}",
 )  # fmt: skip
-"""Starts only the processes that the page needs: a window of Chromium starts four."""
+"""Arguments by which Chromium starts only the processes that a page needs; a window starts four."""
 CHROMIUMS = ("chromium-headless-shell", "chromium", "chromium-browser")
-"""The first has no window and takes half of the CPU time."""
+"""Names of the program, the best first: it has no window and takes half of the CPU time."""
 DEADLINE_MS = DEADLINE_S * 1000.0
 EMPTY = "about:blank"
 STORAGE = """([origin, key, token, use]) => {
@@ -37,16 +37,16 @@ STORAGE = """([origin, key, token, use]) => {
     localStorage.clear();
     if (token !== null) localStorage.setItem(key, token);
 }"""
-"""Runs before a document's scripts: the first document finds only the token in its storage."""
+"""Script that runs before a document's own: the first document finds only the token stored."""
 SHOWN = """() => [document.body.innerText, ...performance.getEntriesByType('resource').map(
     ({ name, responseStatus, responseEnd }) => `${name} ${responseStatus} ${responseEnd} ms`,
 )].join("\\n")"""
-"""What a page shows, and what it has loaded."""
+"""Script that returns the text that a page shows, and the resources that it has loaded."""
 TURNS_RAD_S, RESTS_RAD_S = 1.0, 0.05
 
 
 def installed_chromium():
-    """The program, or None."""
+    """Return the path of the Chromium program, or None."""
     return next(filter(None, map(shutil.which, CHROMIUMS)), None)
 
 
@@ -63,8 +63,8 @@ class Dashboard:
 
     @contextlib.contextmanager
     def page(self, token=TOKEN, port=None, at="", viewport=None, fleet=()):
-        """A page whose storage holds the token alone. Its log and the hosts that it contacted are
-        checked at its end. `fleet`: ports of other dashboards that it may contact."""
+        """Open a page whose storage holds the token alone. At its end, check its log and the hosts
+        that it contacted. `fleet`: ports of other dashboards that it may contact."""
         address = f"http://127.0.0.1:{port or self.port}"
         page = self._empty_page()
         problems, hosts = [], set()
@@ -97,8 +97,8 @@ class Dashboard:
         assert problems == [], problems
 
     def _empty_page(self):
-        """An empty page in a browser profile of its own. A profile that a test has left is reused:
-        a new one costs a second of a processor."""
+        """Return an empty page in a browser profile of its own. A profile that a test has left is
+        reused: a new one costs a second of a processor."""
         for context in self.browser.contexts:
             if [page.url for page in context.pages] == [EMPTY]:
                 return context.pages[0]
@@ -107,7 +107,7 @@ class Dashboard:
         return page
 
     def _emptied(self, page):
-        """Empties the page and releases its mouse and keys."""
+        """Empty the page and release its mouse and keys."""
         if page.is_closed():
             page.context.close()
             return
@@ -129,11 +129,11 @@ class Dashboard:
         wait_until(self.rests, "the wheels rest")
 
     def children(self, command):
-        """Processes of motord-bus that run this command of motord."""
+        """Return the child processes of motord-bus that run this command of motord."""
         return bus_children(self.stage, command)
 
     def ready(self):
-        """Brings the robot to idle from any state."""
+        """Bring the robot to idle from any state."""
 
         def attempt():
             with contextlib.suppress(Refused):
@@ -149,8 +149,8 @@ class Dashboard:
         wait_until(attempt, "idle")
 
     def set_off(self, page, hold=None):
-        """Armed, with the wheels turning: the page holds its pad, pressed again where a busy
-        machine has released it."""
+        """Arm and drive until the wheels turn: `hold` presses a control of the page (default: the
+        pad), again where a busy machine has released it."""
         hold = hold or press_pad
         page.evaluate("location.hash = 'drive'")
         page.wait_for_selector(".pad")
@@ -169,13 +169,13 @@ class Dashboard:
         wait_until(turning, "the wheels turn")
 
     def end(self):
-        """Ends a daemon that `restart` has started."""
+        """End a daemon that `restart` has started."""
         if self._again is not None:
             self.stage.robot.close()
             ended(self._again)
 
     def restart(self):
-        """Starts the daemon again, as a service manager does after a kill."""
+        """Start the daemon again, as a service manager does after a kill."""
         with self.stage.log.open("ab") as log:
             self._again = subprocess.Popen(
                 self.stage.daemon.args, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
@@ -190,7 +190,7 @@ class Dashboard:
 
 @contextlib.contextmanager
 def dashboard_of(browser, folder, file, *settings, **simulated):
-    """A robot with a dashboard, by a file in that folder; `simulated`: options of `running`."""
+    """Run a robot with a dashboard, from a robot file; `simulated`: options of `running`."""
     token = folder / "token"
     token.write_text(TOKEN, encoding="utf-8")
     token.chmod(0o600)
@@ -212,7 +212,7 @@ def dashboard_of(browser, folder, file, *settings, **simulated):
 
 
 def press_pad(page):
-    """Straight ahead, and held."""
+    """Press the pad for straight ahead, and hold it."""
     box = page.locator(".pad").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     page.mouse.up()
@@ -222,16 +222,16 @@ def press_pad(page):
 
 
 def press_key(page):
-    """Straight ahead, and held."""
+    """Press the key for straight ahead, and hold it."""
     page.keyboard.up("KeyW")
     page.keyboard.down("KeyW")
 
 
 def held(page):
-    """Whether the page drives."""
+    """Return whether the page drives."""
     return page.locator("html[data-held]").count() == 1
 
 
 def state_of(page):
-    """The state that the page shows."""
+    """Return the state that the page shows."""
     return page.locator("header .chip[data-state]").get_attribute("data-state")

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bad link between a browser and the dashboard: what goes through it is late, comes in bursts, or
-does not come at all while both connections stay open."""
+"""A bad link between a browser and the dashboard: data arrives late, in bursts, or not at all while
+both connections stay open."""
 
 import contextlib
 import random
@@ -14,9 +14,9 @@ LOOK_EVERY_S = 0.005
 
 
 class LinkProxy:
-    """Delays by `delay_s` in each direction. A part `stalls` of all chunks waits `stall_s` more,
-    like a packet that TCP has to send again, and holds up what follows. `cut`: nothing goes
-    through."""
+    """A proxy that delays data by `delay_s` in each direction. A share `stalls` of all chunks waits
+    `stall_s` more, like a packet that TCP has to send again, and delays the data behind it. While
+    `cut` is true, nothing goes through."""
 
     def __init__(self, port, delay_s=0.0, stalls=0.0, stall_s=0.2):
         self.delay_s, self.stalls, self.stall_s = delay_s, stalls, stall_s
@@ -44,7 +44,7 @@ class LinkProxy:
         self._selector.close()
 
     def drop(self):
-        """Ends every connection."""
+        """End every connection."""
         for one in list(self._sockets):
             with contextlib.suppress(OSError):
                 one.shutdown(socket.SHUT_RDWR)

@@ -22,7 +22,7 @@ from motord.client import Refused
 
 FOLDER = ROOT / "docs/pictures"
 FILE = "/srv/motord/cart.toml"
-"""Text that the pictures show instead of the folder that the robot ran in."""
+"""Path of the robot file that the pictures show instead of the real one."""
 PHONE = {"width": 390, "height": 844}
 TALL = {"width": 1180, "height": 900}
 SPEED_M_S, TURN_RAD_S, PERIOD_S = 0.4, 0.9, 10.0
@@ -49,7 +49,7 @@ class Photographer:
         page.screenshot(path=FOLDER / f"dashboard-{name}.png")
 
     def take_moving(self, page, name, for_s):
-        """Taken again where a busy machine has stopped the robot."""
+        """Take the picture of a moving robot, again where a busy machine has stopped the robot."""
         moves = False
         while not moves:
             self.drive(for_s)
@@ -57,12 +57,12 @@ class Photographer:
             moves = self.robot.stage.state() == state_of(page) == "moving"
 
     def drive(self, for_s):
-        """A winding course; it still moves when this returns."""
+        """Drive a winding course for `for_s`; the robot still moves on return."""
         begun_s = time.monotonic()
         while (passed_s := time.monotonic() - begun_s) < for_s:
             with contextlib.suppress(Refused):
                 state = self.robot.stage.state()
-                if state in ("fault", "estop"):  # a fault of a busy machine
+                if state in ("fault", "estop"):  # a busy machine causes faults
                     self.client.reset()
                 elif state == "idle":
                     self.client.arm()

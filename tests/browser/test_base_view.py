@@ -46,7 +46,7 @@ def test_a_robot_is_redrawn_only_while_it_moves(robot, page):
     page.evaluate(COUNTED)
 
     def pictures():
-        """Drawn while thirty states came."""
+        """Return how many pictures are drawn while thirty states arrive."""
         was, frames = page.evaluate("[pictures, frames]")
         page.wait_for_function("frames => window.frames >= frames + 30", arg=frames)
         return page.evaluate("pictures") - was
@@ -73,7 +73,7 @@ def test_a_robot_without_a_base_shows_the_angles_of_its_joints(browser, tmp_path
         def shown_rad():
             with contextlib.suppress(Refused):
                 state = robot.stage.state()
-                if state == "fault":  # of a busy machine
+                if state == "fault":  # a busy machine causes faults
                     robot.stage.robot.reset()
                 elif state == "idle":
                     robot.stage.robot.arm()

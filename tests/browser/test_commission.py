@@ -43,7 +43,7 @@ def wheels(*settings):
 
 @pytest.fixture(scope="module")
 def robot(browser, tmp_path_factory):
-    """Its wheels are larger and closer to each other than in its file."""
+    """A robot whose wheels are larger and closer to each other than in its file."""
     folder = tmp_path_factory.mktemp("commission")
     with dashboard_of(
         browser, folder, copied(folder), *SURE, sim_options=truth(*TRUTH)
@@ -62,7 +62,7 @@ def wheels_turn(robot):
 
 
 def spinning(robot, page):
-    """The left wheel turns longer than the test lasts."""
+    """Begin a spin in which the left wheel turns longer than the test lasts."""
     open_page(page, SPIN)
     page.get_by_label("Wheels").select_option("left")
     fill(page, Time_for_each_wheel=10)
@@ -98,7 +98,8 @@ def test_swapped_wheels_are_found_and_put_right_in_the_file(browser, tmp_path):
     ):
 
         def seen():
-            """The other wheel turns backward: it is mounted on the other side."""
+            """Answer as a person who sees the other wheel turn; alone it turns backward, because it
+            is mounted on the other side."""
             other = page.locator(".question").get_by_role("button", name="Another wheel")
             return "Another wheel" if other.count() else "Backward"
 
@@ -141,13 +142,14 @@ def test_a_calibration_recovers_what_was_planted(browser, tmp_path, title, field
     if title == RADII:
         assert found.wheel_radius_m("left") == pytest.approx(TRUE_LEFT_M, rel=0.003)
         assert found.wheel_radius_m("right") == pytest.approx(TRUE_RIGHT_M, rel=0.003)
-    else:  # by the radii of the file, which are too small
+    else:  # the radii of the file are used, which are too small
         assert found.base.track_m == pytest.approx(TRUE_TRACK_M / 1.025, rel=0.005)
     assert len(list(tmp_path.glob("*.bak"))) == 1
 
 
 def rubbing(browser, folder, was):
-    """Duty drives whose motors stall at 8 N·m and rub with 0.48 N·m: they begin to turn at 6 %."""
+    """Return the robot file and dashboard of duty drives whose motors stall at 8 N·m and rub with
+    0.48 N·m: they begin to turn at 6 %. `was`: the dead band in the file."""
     replaced = [("duty_dead_band = 0.06", f"duty_dead_band = {was}")]
     file = copied(folder, ROOT / "config/robots/forward-only.toml", replaced)
     rubs = wheels("left.coulomb_n_m=0.48", "right.coulomb_n_m=0.48")
@@ -218,7 +220,7 @@ def test_the_scale_of_a_gyro_is_measured_and_its_variance_written(browser, tmp_p
         assert "is written" in shown, shown
         rests_disarmed(robot.stage)
     scale = float(re.search(r"scale ([.\d]+)", shown)[1])
-    assert scale == pytest.approx(1.0 / 1.03, abs=2 * 0.5 / 720 + 1e-3)  # half a degree is read
+    assert scale == pytest.approx(1.0 / 1.03, abs=2 * 0.5 / 720 + 1e-3)  # read to half a degree
     variance = load_robot(file).imu.turn_variance_rad2_per_rad
     assert variance == pytest.approx((scale - 1.0) ** 2 * math.tau, rel=0.1)
 

@@ -27,7 +27,7 @@ def button(page, name):
 
 
 def arm(robot, page):
-    """Arms by the button; pressed again where a drive answered late on a busy machine."""
+    """Arm by the button, again where a drive answered late on a busy machine."""
 
     def attempt():
         state = state_of(page)
@@ -89,7 +89,7 @@ HIDE = """() => {
 
 
 def freeze(page):
-    """Stops the processes of all pages, like a suspend of the computer."""
+    """Stop the processes of all pages, like a suspend of the computer."""
     session = page.context.browser.new_browser_cdp_session()
     found = session.send("SystemInfo.getProcessInfo")["processInfo"]
     FROZEN.extend(row["id"] for row in found if row["type"] == "renderer")
@@ -139,7 +139,7 @@ def test_a_cut_link_stops_the_wheels_and_its_return_does_not_resume_a_hold(robot
         wait_until(lambda: page.locator(".chip.connected").count() == 1, "connected")
         page.mouse.move(300, 300)
         if hold is press_key:
-            page.keyboard.down("KeyW")  # the repeat of a held key
+            page.keyboard.down("KeyW")  # a held key repeats
         assert not held(page)
         robot.wait_for_rest()
         page.mouse.up()
@@ -189,17 +189,17 @@ window.plug = (pressed) => {
         buttons: Array.from({length: 17}, (_, n) => ({pressed: pressed && n === 4, value: 0})),
     }];
 };"""
-"""Replaces the browser's gamepad interface; no gamepad is needed."""
+"""Script that replaces the browser's gamepad interface, so that no gamepad is needed."""
 
 
 def looked(page):
-    """Waits until the page has read its gamepads."""
+    """Wait until the page has read its gamepads."""
     seen = page.evaluate("window.looks")
     page.wait_for_function("seen => window.looks > seen + 1", arg=seen)
 
 
 def press_gamepad(page):
-    """Straight ahead, and held."""
+    """Hold the gamepad's dead-man button, with its stick straight ahead."""
     page.evaluate("plug(false)")
     looked(page)
     page.evaluate("plug(true)")
@@ -224,7 +224,7 @@ def test_a_gamepad_drives_again_only_after_its_button_was_released(robot, page, 
     assert not held(page)
     page.evaluate("delete document.hidden")
     if ending != "plug(false)":
-        page.evaluate("plug(true)")  # plugged in again, or shown again, with the button held
+        page.evaluate("plug(true)")  # the gamepad or page is back, with the button held
         looked(page)
         assert not held(page)
         assert robot.rests()
@@ -336,7 +336,7 @@ def test_exchanges_are_traced_only_while_they_are_shown(robot, page):
 def test_a_recording_is_started_stopped_downloaded_once_and_replayed(robot, page):
     page.evaluate("location.hash = 'log'")
     page.wait_for_selector(".recorder button")
-    if button(page, "Stop recording").count():  # left by a try that came too late
+    if button(page, "Stop recording").count():  # an earlier run of this test has left it
         button(page, "Stop recording").click()
     button(page, "Start recording").click()
     files = page.locator(".recordings li", has_text="-manual.mcap")
@@ -386,7 +386,7 @@ def test_axe_finds_nothing(robot, width):
                 button(page, "Show live").click()
                 page.wait_for_selector(".exchanges tbody tr")
             assert axe_violations(page) == [], tab
-            page.emulate_media(color_scheme="dark")  # only the colours differ
+            page.emulate_media(color_scheme="dark")  # only the colours differ: one rule is enough
             assert axe_violations(page, "color-contrast") == [], (tab, "dark")
 
 
@@ -397,7 +397,7 @@ TAB_CHOSEN_EARLY = """(() => {
         setTimeout(() => then(performance.now()), 20);
     });
 })()"""
-"""Acts between the page's first drawing and what it does next."""
+"""Script that chooses a tab between the page's first drawing and its next step."""
 
 
 def test_a_tab_chosen_right_after_the_first_drawing_is_shown(robot):
@@ -428,7 +428,7 @@ SPACE_EARLY = """new MutationObserver((_, observer) => {
     observer.disconnect();
     window.dispatchEvent(new KeyboardEvent('keydown', {code: 'Space'}));
 }).observe(document, {childList: true, subtree: true})"""
-"""Presses the key as soon as there is a button, right after the page's first drawing."""
+"""Script that presses the space bar right after the first drawing, once the button exists."""
 
 
 def test_the_space_bar_works_right_after_the_first_drawing(robot):

@@ -32,7 +32,8 @@ def robot_at(browser, folder, port, token, fleet, *settings):
 
 @pytest.fixture
 def robots(browser, tmp_path):
-    """Two of one fleet; the second one has another dashboard that does not list the first."""
+    """Two robots of one fleet and their three ports: the second robot has another dashboard, which
+    does not list the first robot."""
     first, second, closed = ports = free_port(), free_port(), free_port()
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
@@ -53,7 +54,7 @@ def page(robots):
 
 
 def card(page, port):
-    """The card of another robot, by its address."""
+    """Return the card of another robot; `port`: of its dashboard."""
     return page.locator(".robot", has=page.locator(f"a[href='http://127.0.0.1:{port}']"))
 
 
@@ -72,7 +73,7 @@ def test_each_robot_has_its_state_its_token_and_its_emergency_stop(robots, page)
     for where in (own, other):
         shows(where, "Ready, no power")
     assert other.locator(".estop").is_disabled()
-    give_token(other, TOKEN)  # that of the first robot
+    give_token(other, TOKEN)  # the token of the first robot
     shows(other, "wrong")
     assert other.locator(".estop").is_disabled()
     give_token(other, OTHER_TOKEN)
@@ -105,7 +106,7 @@ def test_the_emergency_stop_of_all_names_each_robot_that_it_did_not_reach(robots
     assert there.stage.state() == "idle"
     give_token(other, OTHER_TOKEN)
     wait_until(other.locator(".estop").is_enabled, "it may command")
-    assert "needs its token" in missed.inner_text()  # until the next press
+    assert "needs its token" in missed.inner_text()  # shown until the next press
     os.kill(there.stage.daemon.pid, signal.SIGSTOP)
     try:
         press(f":{second}): no answer", f":{closed}): not connected")

@@ -19,7 +19,7 @@ def key(pressed):
 
 def lose_capture(page):
     page.locator(".pad").evaluate("pad => pad.releasePointerCapture(1)")
-    page.mouse.move(5, 5)  # takes effect with the next event of the pointer
+    page.mouse.move(5, 5)  # the release takes effect with the next event of the pointer
 
 
 OF_KEYS = {
@@ -62,7 +62,7 @@ def test_the_wheels_rest_though_no_release_arrives(robot, page, hold, ending):
     robot.wait_for_rest()
     assert not held(page)
     if hold is press_key:
-        page.keyboard.down("KeyW")  # the repeat of a held key
+        page.keyboard.down("KeyW")  # a held key repeats
         assert not held(page)
     page.mouse.up(button="right")
 
@@ -80,7 +80,7 @@ def test_a_key_with_a_lost_release_does_not_count_in_the_next_hold(robot, page):
     page.evaluate("location.hash = 'drive'")
     page.wait_for_selector(".pad")
     press_pad(page)
-    page.keyboard.down("KeyW")  # this hold drives nothing: the pad does
+    page.keyboard.down("KeyW")  # this key drives nothing: the pad drives
     page.mouse.up()
     page.keyboard.down("KeyS")
     requested = page.locator("dt", has_text="Requested").locator("xpath=../dd")

@@ -21,7 +21,7 @@ ROBOTS = sorted((ROOT / "config/robots").glob("*.toml"))
 
 @pytest.fixture(autouse=True)
 def file(robot):
-    """The robot file, restored before each test."""
+    """The robot file, restored after each test."""
     before = robot.file.read_bytes()
     yield robot.file
     robot.file.write_bytes(before)
@@ -34,7 +34,7 @@ def button(page, name):
 
 
 def opened(page, text=None):
-    """The open editor, with the file or with the given text."""
+    """Open the editor, with the file or with the given text; return its text area."""
     page.evaluate("location.hash = 'file'")
     page.wait_for_selector(AREA)
     if text is not None:
@@ -43,7 +43,7 @@ def opened(page, text=None):
 
 
 def at_end_of(page, row):
-    """Puts the cursor at the end of the first such row."""
+    """Put the cursor at the end of the first line that begins with `row`."""
     page.evaluate(
         """row => {
             const area = document.querySelector("textarea");
@@ -94,7 +94,7 @@ def test_keys_and_values_are_completed_with_the_keyboard_alone(page):
     assert chosen.get_attribute("aria-selected") == "true"
     assert "How to stop when something is wrong." in chosen.inner_text()
     assert axe_violations(page) == []
-    page.keyboard.press("Enter")  # then its values are listed
+    page.keyboard.press("Enter")  # takes the key; then its values are listed
     wait_until(lambda: labels(page) == ["ramp", "brake", "hold", "coast"], "the values")
     page.keyboard.press("ArrowDown")
     page.keyboard.press("ArrowDown")
@@ -107,7 +107,7 @@ def test_keys_and_values_are_completed_with_the_keyboard_alone(page):
     assert page.locator(OPTIONS).count()
     page.keyboard.press("Escape")
     assert page.locator(OPTIONS).count() == 0
-    page.keyboard.press("Tab")  # the keyboard leaves the editor
+    page.keyboard.press("Tab")  # moves the focus out of the editor
     assert page.evaluate("document.activeElement.tagName") != "TEXTAREA"
 
 
@@ -127,7 +127,7 @@ def test_enter_is_a_line_end_unless_a_completion_is_chosen(page):
 
 @pytest.fixture(scope="module")
 def programs(robot):
-    """A page of which only functions are called."""
+    """A page for tests that only call functions of its scripts."""
     with robot.page() as page:
         yield page
 
@@ -254,7 +254,7 @@ def test_a_file_changed_by_another_program_is_compared_before_it_is_written(page
     button(page, "Discard my changes, load the file").click()
     wait_until(lambda: opened(page).input_value() == theirs, "their file")
     page.locator(AREA).focus()
-    page.keyboard.press("Control+z")  # nothing is lost
+    page.keyboard.press("Control+z")  # brings back the discarded text
     assert "linear_m_s = 0.7" in page.locator(AREA).input_value()
 
 
@@ -267,7 +267,7 @@ def test_an_edited_text_is_kept_while_another_tab_is_shown(page):
 
 
 def test_a_file_that_cannot_be_written_is_offered_for_download(browser, tmp_path):
-    place = tmp_path / f"{'x' * 240}.toml"  # the backup's name is too long
+    place = tmp_path / f"{'x' * 240}.toml"  # the name of its backup is too long
     shutil.copy(ROBOT, place)
     with dashboard_of(browser, tmp_path, place, *SLOW) as robot, robot.page() as page:
         changed(page, "linear_m_s = 1.0", "linear_m_s = 0.6")

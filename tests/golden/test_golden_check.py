@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What people see, word for word. Where a change is meant, run the command that a failure names."""
+"""Output of commands, word for word. If you mean a change, run the command that a failure names."""
 
 from pathlib import Path
 

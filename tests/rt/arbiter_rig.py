@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arbiter in C with leases by connection and owner, as the daemon grants them."""
+"""The arbiter in C, with leases by connection and owner as the daemon opens them."""
 
 from dataclasses import dataclass
 
@@ -31,7 +31,7 @@ class Lease:
 
 class Arbiter:
     def __init__(self, base=ffi.NULL):
-        """`base`: a core_config whose joints are commanded."""
+        """`base`: the core_config whose joints are commanded; NULL if no datagram names joints."""
         self.c = ffi.new("arbiter *")
         self.base = base
         lib.arbiter_init(self.c, base, ffi.NULL)
@@ -101,7 +101,7 @@ class Arbiter:
         return out
 
     def commander(self, now_ns):
-        """As C reports it, with the twist that the core gets."""
+        """Return the lease that C reports as commander, or None; check the core's twist."""
         out = self.command(now_ns)
         number = self.c.report.commander
         found = next((lease for lease in self.all() if lease.number == number), None)

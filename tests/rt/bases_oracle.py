@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bases without steering again, from the textbook and with numpy: each wheel by the geometry of its
-contact point (Lynch & Park, Modern Robotics, 2017, 13.2), the inverse as numpy's pseudo-inverse,
-the pose by the matrix exponential of the twist."""
+"""Oracle for bases without steering, from the textbook and with numpy: each wheel by the geometry
+of its contact point (Lynch & Park, Modern Robotics, 2017, 13.2), the inverse as numpy's
+pseudo-inverse, the pose by the matrix exponential of the twist."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ RADIUS_M = 0.05
 
 
 def omni(place_m: Sequence[float], rolling_rad: float) -> np.ndarray:
-    """The floor's speed at the contact point, along the rolling direction."""
+    """Return the wheel's row: the floor's speed at the contact point, in the rolling direction."""
     x, y = place_m
-    ground = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])  # of the contact point: v + w × p
+    ground = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])  # speed of the contact point: v + w × p
     return np.array([math.cos(rolling_rad), math.sin(rolling_rad)]) @ ground
 
 
 def mecanum(place_m: Sequence[float], roller_rad: float) -> np.ndarray:
-    """A roller moves freely across its axis, so rim and floor agree along the axis alone."""
+    """Return the wheel's row. A roller moves freely across its axis: rim and floor agree along it
+    alone."""
     x, y = place_m
     axis = np.array([math.cos(roller_rad), math.sin(roller_rad)])
     ground = np.array([[1.0, 0.0, -y], [0.0, 1.0, x]])
@@ -29,7 +30,7 @@ def mecanum(place_m: Sequence[float], roller_rad: float) -> np.ndarray:
 
 
 def rows_of(kind: str) -> np.ndarray:
-    """Each row by (linear, lateral, angular)."""
+    """Return the wheels' rows: factors of (linear, lateral, angular) in each wheel's rim speed."""
     if kind == "mecanum":
         corners = [(0.2, 0.15, -1), (0.2, -0.15, 1), (-0.2, 0.15, 1), (-0.2, -0.15, -1)]
         return np.array([mecanum((x, y), sign * math.pi / 4.0) for x, y, sign in corners])
@@ -49,13 +50,13 @@ STRAFING = tuple(kind for kind in KINDS if kind not in ("differential", "skid"))
 
 
 def twist_of(rows: np.ndarray, rims_m_s: Sequence[float]) -> np.ndarray:
-    """Least squares, of the least size where it is not determined."""
+    """Return the twist by least squares; where it is not determined, the smallest one."""
     return np.linalg.pinv(rows) @ np.asarray(rims_m_s)
 
 
 def moved(pose: np.ndarray, twist: Sequence[float], seconds: float) -> np.ndarray:
-    """A pose (x, y, heading) after a constant twist of the body: a product of matrices, the
-    exponential as its series."""
+    """Return the pose (x, y, heading) after a constant twist of the body: a product of matrices,
+    with the exponential as its series."""
     vx, vy, w = (part * seconds for part in twist)
     generator = np.array([[0.0, -w, vx], [w, 0.0, vy], [0.0, 0.0, 0.0]])
     step, term = np.eye(3), np.eye(3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The same physics again, from the textbook and with other means than the C: Jacobians as arrays,
+"""Oracle for the odometry, from the textbook and with other means than the C: Jacobians as arrays,
 the arc as a complex integral, a straight line only where there is no turn at all."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Pose:
-    """Dead reckoning of two sides, Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4."""
+    """Dead reckoning from two sides: Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4."""
 
     def __init__(
         self, track_m: float, per_m: float, per_rad: float, floor_m2: float, floor_rad2: float

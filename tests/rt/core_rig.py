@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A small base around the bare core: plain numbers in, plain numbers out, time by hand."""
+"""A small base around the bare core: plain numbers in and out, and time that only ticks advance."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def joint_config(side: float, **changes: Any) -> dict[str, Any]:
 def torque_loop(
     gain_n_m_s_per_rad: float = 1.0, integral_n_m_per_rad: float = 4.0, most_n_m: float = 8.0
 ) -> dict[str, Any]:
-    """PI alone."""
+    """Return a loop with proportional and integral part alone."""
     return {
         "gains": {
             "gain_u_s_per_rad": gain_n_m_s_per_rad,
@@ -68,7 +68,7 @@ def torque_loop(
 
 
 def core_config(joints: int = 2, **changes: Any) -> dict[str, Any]:
-    """Joints alternate: left, right, left, right."""
+    """Return the configuration of a base whose joints alternate: left, right, left, right."""
     return {
         "joint_count": joints,
         "limits": {"linear": dict(LINEAR), "angular": dict(ANGULAR), "lateral": dict(LATERAL)},
@@ -92,7 +92,7 @@ def core_config(joints: int = 2, **changes: Any) -> dict[str, Any]:
 class Rig:
     """A core with wheels that follow their set-points at once, and drives that count.
 
-    `hold` keeps input from being refreshed: "command", "feedback".
+    `hold`: the input that is not refreshed, "command" or "feedback" or both.
     """
 
     def __init__(self, config: dict[str, Any] | None = None) -> None:
@@ -165,7 +165,7 @@ class Rig:
         return shown
 
     def moving(self, linear_m_s: float = 0.5, angular_rad_s: float = 0.0) -> Any:
-        """Armed and at speed."""
+        """Arm and drive until the base is at speed."""
         self.arm()
         self.drive(linear_m_s, angular_rad_s)
         shown = self.ticks(1.5)
@@ -175,7 +175,7 @@ class Rig:
 
 
 def assert_rest(rig: Rig, *, enabled: int | None = None) -> None:
-    """Every place of the set-points is zero, and was written."""
+    """Assert that the set-points of all 8 joints are zero. `enabled`: expected `out.enabled`."""
     assert [rig.shown.joint[j].setpoint_rad_s for j in range(8)] == [0.0] * 8
     assert [rig.shown.joint[j].duty for j in range(8)] == [0.0] * 8
     assert (rig.shown.setpoint_linear_m_s, rig.shown.setpoint_angular_rad_s) == (0.0, 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The shortest time in which a twist changes, in continuous time: what a ramp is measured by.
+"""Oracle for ramps: the shortest time in which a twist changes, in continuous time.
 
 Biagiotti & Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008, 3.4: with a
 limit of acceleration and one of jerk, the acceleration grows by the jerk, stays at its limit, and
@@ -20,19 +20,19 @@ from itertools import combinations, pairwise
 
 @dataclass(frozen=True)
 class Bounds:
-    """Of one axis; u: its own unit."""
+    """Limits of one axis; u: the unit of the axis."""
 
     acceleration_u_s2: float
-    """Away from zero."""
+    """Limit while the speed moves away from zero."""
     deceleration_u_s2: float
-    """Towards zero."""
+    """Limit while the speed moves towards zero."""
     jerk_u_s3: float
-    """Infinity: no limit."""
+    """Limit of the jerk; infinity: no limit."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """Of the speed of one axis."""
+    """A change of the speed of one axis."""
 
     bounds: Bounds
     from_u_s: float
@@ -46,11 +46,11 @@ class Change:
 
     @property
     def turn(self) -> float:
-        """At which share of it the speed passes zero; 0: it does not."""
+        """Share of the change at which the speed passes zero; 0: it does not pass zero."""
         return abs(self.from_u_s) / self.size_u_s if self.from_u_s * self.goal_u_s < 0.0 else 0.0
 
     def most_s(self, share: float) -> float:
-        """How large x' may be there."""
+        """Return the largest x' at this share of the change."""
         grows = share > self.turn if self.turn else abs(self.goal_u_s) > abs(self.from_u_s)
         bounds = self.bounds
         most_u_s2 = bounds.acceleration_u_s2 if grows else bounds.deceleration_u_s2
@@ -59,7 +59,7 @@ class Change:
 
 @dataclass(frozen=True)
 class _Line:
-    """x'^2 over x."""
+    """A straight line of x'^2 over x."""
 
     at_zero: float
     slope: float
@@ -69,9 +69,9 @@ class _Line:
 
 
 def shortest_s(*changes: Change) -> float:
-    """Of all axes together, on a straight line and never back. What does not fit of the
-    acceleration at the start may be dropped at once: what is beyond a limit, what points away from
-    the goal or from the line, and what the jerk could not take back before the goal."""
+    """Return the shortest time of all changes together, on a straight line and never back. These
+    parts of the acceleration at the start may be dropped at once: parts beyond a limit, away from
+    the goal or the line, and parts that the jerk could not take back before the goal."""
     moving = [one for one in changes if one.size_u_s > 0.0]
     if not moving:
         return 0.0
@@ -96,7 +96,8 @@ def shortest_s(*changes: Change) -> float:
 
 
 def _piece_s(jerk_s3: float, low: float, high: float, lines: Sequence[_Line]) -> float:
-    """Along the lower envelope, on which each line lasts from one crossing to the next."""
+    """Return the time from `low` to `high` along the lower envelope of `lines`. Each line lasts
+    from one crossing to the next."""
     crossings = {
         (b.at_zero - a.at_zero) / (a.slope - b.slope)
         for a, b in combinations(lines, 2)
@@ -111,8 +112,8 @@ def _piece_s(jerk_s3: float, low: float, high: float, lines: Sequence[_Line]) ->
 
 
 def textbook_s(change: Change) -> float:
-    """The same of one axis where nothing may be dropped: an acceleration that points away from the
-    goal, or leads beyond it, is first taken back by the jerk."""
+    """Return the shortest time of one axis that drops no acceleration: one that points away from
+    the goal, or leads beyond it, is first taken back by the jerk."""
     bounds, along = change.bounds, change.along_u_s2
     beyond = along > 0.0 and along**2 > 2.0 * bounds.jerk_u_s3 * change.size_u_s
     if math.isinf(bounds.jerk_u_s3) or (along >= 0.0 and not beyond):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A base with two wheels on one line, for tests of what is around the core; a function to wait."""
+"""A base with two wheels on one line, for tests of the code around the core; a function to wait."""
 
 import math
 import time
@@ -75,7 +75,7 @@ def settings(
 
 
 def until(condition: Callable[[], object]) -> None:
-    """Wait for it, patiently: a busy machine is late, not wrong."""
+    """Wait until the condition holds, at most PATIENCE_S: a busy machine is late, not wrong."""
     give_up_s = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < give_up_s, "waited in vain"
@@ -83,7 +83,7 @@ def until(condition: Callable[[], object]) -> None:
 
 
 def report_wheels(count: int = 0, velocity_rad_s: float = 0.0) -> None:
-    """Both drives report that they are present and enabled."""
+    """Put feedback by which both drives are present and enabled."""
     exchange = Exchange.of_loop()
     for index in (0, 1):
         exchange.put_feedback(
@@ -98,7 +98,7 @@ def report_wheels(count: int = 0, velocity_rad_s: float = 0.0) -> None:
 
 
 def lease_of(loop: rt.Loop) -> rt.LoopLease:
-    """The only source that commands; its commands last."""
+    """Open the only lease that commands; a command lasts FOREVER_S."""
     return loop.open_lease(lifetime_s=FOREVER_S)
 
 

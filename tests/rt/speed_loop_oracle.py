@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The speed loop once more, from the textbook's formulae, for whole runs at once (NumPy).
+"""Oracle for the speed loop: the textbook's formulae, for whole runs at once (NumPy).
 
 Feed-forward: friction and inertia (Lynch & Park, Modern Robotics, 2017, 8.9.1). PID with the
 derivative of the filtered measure and conditional integration: Åström & Hägglund, Advanced PID
@@ -20,8 +20,8 @@ CUT_OFF_LEAST = 1e-9
 
 
 class OnTheEdge(ValueError):
-    """Whether a limit has cut something off, and so whether the integral is held, depends on how
-    the sums are rounded."""
+    """Rounding alone decides whether a limit has cut something off, and so whether the integral is
+    held."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,8 +39,8 @@ class Gains:
 
 
 def filtered(measured: Array, filter_s: float, dt_s: float) -> Array:
-    """Low pass of the first order by backward Euler, at rest at its first sample: the convolution
-    with its impulse response."""
+    """Return `measured` after a low pass of the first order (backward Euler) that has settled on
+    the first sample: the convolution with its impulse response."""
     keep = filter_s / (filter_s + dt_s)
     steps = np.arange(len(measured))
     weights = np.tril(keep ** np.clip(steps[:, None] - steps[None, :], 0, None)) * (1.0 - keep)
@@ -48,8 +48,8 @@ def filtered(measured: Array, filter_s: float, dt_s: float) -> Array:
 
 
 def outputs(gains: Gains, want: Array, measured: Array, dt_s: float) -> Array:
-    """Of a loop that has begun at rest before the first sample, at a wheel that turned as in it.
-    Raises OnTheEdge."""
+    """Return the outputs of a loop whose set-point was 0 before the first sample, while the wheel
+    already turned as in that sample. Raise OnTheEdge."""
     rise = np.diff(want, prepend=0.0) / dt_s
     feed = gains.static * np.sign(want) + gains.viscous * want + gains.acceleration * rise
     feed[want == 0.0] = 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steered bases again, from the textbook and with numpy: each wheel by its rolling and sliding
+"""Oracle for steered bases, from the textbook and with numpy: each wheel by its rolling and sliding
 constraints (Siegwart & Nourbakhsh, Autonomous Mobile Robots, 3.2.3, equations 3.12 and 3.13), the
 inverse as numpy's least squares; and small bases around the bare core."""
 
@@ -37,7 +37,7 @@ def steers(range_rad: float, **position: Any) -> dict[str, Any]:
 
 
 def module(x_m: float, y_m: float, steering: int = 0, traction: int = 0) -> dict[str, Any]:
-    """Joints by number from 1; 0: none."""
+    """Return a module; `steering` and `traction` are numbers of joints from 1, 0 without one."""
     place = {"x_m": x_m, "y_m": y_m, "angle_rad": 0.0}
     return place | {"steering": steering, "traction": traction}
 
@@ -52,7 +52,7 @@ def swerve(count: int) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
 
 
 def parts_of(kind: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Modules and joints."""
+    """Return the modules and joints of a base of this kind."""
     rear = [module(0.0, 0.1, 0, 1), module(0.0, -0.1, 0, 2)]
     match kind:
         case "bicycle":
@@ -80,13 +80,14 @@ def config_of(kind: str) -> dict[str, Any]:
 
 
 def floor(place: dict[str, Any], twist: Sequence[float]) -> np.ndarray:
-    """Speed of the base at the wheel: v + w × p. By (linear, lateral, angular)."""
+    """Return the speed of the base at the wheel, v + w × p; twist: (linear, lateral, angular)."""
     vx, vy, w = twist
     return np.array([vx - place["y_m"] * w, vy + place["x_m"] * w])
 
 
 def equations(kind: str, angles_rad: Sequence[float]) -> tuple[np.ndarray, list[int | None]]:
-    """Rows by (linear, lateral, angular), and which joint's rim each is equal to; None: 0."""
+    """Return rows of factors of (linear, lateral, angular), and for each row the joint whose rim
+    speed it equals; None: it equals 0."""
     rows, rims = [], []
     for place in parts_of(kind)[0]:
         angle = angles_rad[place["steering"] - 1] if place["steering"] else 0.0
@@ -100,7 +101,7 @@ def equations(kind: str, angles_rad: Sequence[float]) -> tuple[np.ndarray, list[
 
 
 def twist_of(kind: str, angles_rad: Sequence[float], rims_m_s: Sequence[float]) -> np.ndarray:
-    """Least squares; a car does not move sideways, and its fixed wheels add no equation for it."""
+    """Return the twist by least squares; a car's lateral speed is always 0 and no unknown."""
     rows, of = equations(kind, angles_rad)
     values = np.array([0.0 if j is None else rims_m_s[j] for j in of])
     if kind in CARS:
@@ -109,7 +110,8 @@ def twist_of(kind: str, angles_rad: Sequence[float], rims_m_s: Sequence[float]) 
 
 
 def pointing(kind: str, twist: Sequence[float]) -> list[float]:
-    """Angles of the joints for a twist, wheels forward; 0 for the others."""
+    """Return the angles of the steered joints for a twist, 0 for the others. A wheel whose angle
+    would be out of range points in the opposite direction."""
     modules, joints = parts_of(kind)
     angles = [0.0] * len(joints)
     for place in modules:
@@ -124,7 +126,7 @@ def pointing(kind: str, twist: Sequence[float]) -> list[float]:
 
 
 def rolling(kind: str, twist: Sequence[float], angles_rad: Sequence[float]) -> list[float]:
-    """Rims of the joints in m/s."""
+    """Return the rim speeds of the joints in m/s; 0 for a joint that drives no wheel."""
     rims = [0.0] * len(angles_rad)
     for place in parts_of(kind)[0]:
         if place["traction"]:
@@ -135,8 +137,8 @@ def rolling(kind: str, twist: Sequence[float], angles_rad: Sequence[float]) -> l
 
 
 class PositionRig(Rig):
-    """Wheels roll as they are set, and joints that take positions turn to their set-points at once,
-    but for those that are stuck."""
+    """A core whose wheels roll as they are set; joints that take positions turn to their set-points
+    at once, but for those in `stuck`."""
 
     def __init__(self, config: dict[str, Any]) -> None:
         super().__init__(config)
@@ -171,6 +173,6 @@ class SteeredRig(PositionRig):
 
     @property
     def angles(self) -> list[float]:
-        """Of the joints that steer; 0 for the others."""
+        """Measured angles of the joints that steer; 0 for the others."""
         found = self.state.odometry.angle_rad
         return [found[j] if j in self.steering else 0.0 for j in range(self.config.joint_count)]

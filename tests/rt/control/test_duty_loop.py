@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Wheels on duties with speed loops, closed over the simulator's motor with friction and a coarse
-encoder that is read at 100 Hz: what a maker's robot on PWM bridges does."""
+encoder that is read at 100 Hz, as on a maker's robot with PWM bridges."""
 
 import math
 
@@ -18,7 +18,7 @@ EVERY_TICKS = 10
 GAINS = {"gain_u_s_per_rad": 0.06, "integral_u_per_rad": 0.4}
 MAP = {"static_u": DEAD_BAND, "viscous_u_s_per_rad": (1.0 - DEAD_BAND) / FULL_RAD_S}
 HEAVY = WheelModel(coulomb_n_m=1.2)
-"""It begins to turn at a duty of 15 %, and turns a quarter slower than the file has it."""
+"""Wheel that begins to turn at a duty of 15 %, and turns a quarter slower than configured."""
 
 
 def duty_loop(gains=GAINS, **changes):
@@ -33,7 +33,7 @@ def duty_loop(gains=GAINS, **changes):
 
 
 class DutyRig(Rig):
-    """`push_n_m`: of a slope, on each wheel."""
+    """Two wheels on duties. `push_n_m`: torque of a slope on each wheel."""
 
     def __init__(self, loop=None):
         pwm = {"dead_band": DEAD_BAND, "duty_min": -1.0, "duty_max": 1.0}
@@ -75,7 +75,7 @@ class DutyRig(Rig):
         return [(b - a) / seconds for a, b in zip(before, after, strict=True)]
 
     def check_feedback(self):
-        """Restarts with the defaults of [safety.feedback]."""
+        """Restart the core with the defaults of [safety.feedback]."""
         for joint in self.config.joint[0:2]:
             checks = joint.plausible
             checks.setpoint_min_rad_s, checks.slow_rad_s = 0.5, 0.1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ramp_step: what is promised of a ramp, for any number that a double can hold."""
+"""ramp_step: the guarantees of a ramp, for any number that a double can hold."""
 
 import math
 from dataclasses import dataclass, field
@@ -16,12 +16,12 @@ JERK = st.one_of(st.floats(0.01, 1000.0), st.just(math.inf))
 DT = st.floats(1e-4, 0.1)
 TINY = 1e-9
 REST = (1.0, 1.0, 1.0, 1.0)
-"""The other axis, which stands."""
+"""Limits of the axes that stand."""
 
 
 @dataclass
 class Axis:
-    """One axis of three."""
+    """One of the three axes that `ramp_step` moves; the others stand."""
 
     acceleration: float = 1.0
     deceleration: float = 1.5
@@ -45,7 +45,7 @@ class Axis:
         return self.state.velocity_u_s
 
     def until(self, want: float) -> list[float]:
-        """All velocities until the goal is reached."""
+        """Step until the goal is reached; return all velocities."""
         found = [self.state.velocity_u_s]
         while found[-1] != want or self.state.acceleration_u_s2 != 0.0:
             found.append(self.step(want))
@@ -58,7 +58,7 @@ axes = st.builds(Axis, POSITIVE, POSITIVE, JERK, DT, AXES)
 
 
 def used_s(axis: Axis, before: float, after: float) -> float:
-    """How long the step takes at least: down to zero with the deceleration, up again with the
+    """Return the least time of the step: down to zero with the deceleration, up again with the
     acceleration."""
     if before * after < 0.0:
         return abs(before) / axis.deceleration + abs(after) / axis.acceleration

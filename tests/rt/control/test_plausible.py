@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feedback that is doubted, by wheels with a drive's ramp and its counters: each fault, and what
-healthy robots may do."""
+"""Checks of implausible feedback, on wheels with the ramp and counters of a drive: each fault is
+found, and a healthy robot causes none."""
 
 import math
 import random
@@ -37,8 +37,8 @@ LEFT = 0
 
 
 class Wheels(Rig):
-    """Wheels that follow after a time, and report every 10 ms. `truth` changes how one turns,
-    `sent` what it reports: counter angle and reported velocity."""
+    """Wheels that follow by `slope_rad_s2` and report every 10 ms. `truth` changes how a wheel
+    turns, `sent` what it reports: counter angle and velocity."""
 
     def __init__(self, *, slope_rad_s2=80.0, reports=True, bits=32, **changes):
         joints = [joint_config(side, counter_bits=bits, plausible=CHECKS) for side in (-1.0, 1.0)]
@@ -70,7 +70,7 @@ class Wheels(Rig):
         return super().arm()
 
     def without_fault(self, *speeds_m_s, seconds=3.0):
-        """How long each lasts."""
+        """Drive at each speed for `seconds`; assert that there is no fault."""
         self.arm()
         for speed_m_s in speeds_m_s:
             self.drive(speed_m_s)
@@ -78,7 +78,7 @@ class Wheels(Rig):
             assert self.shown.faults == 0
 
     def until_fault(self, within_s):
-        """The time it takes."""
+        """Return the time to the first fault in seconds; infinity without one in `within_s`."""
         for tick in range(round(within_s / TICK_S)):
             if self.tick().faults:
                 return tick * TICK_S
@@ -204,7 +204,7 @@ def test_constantly_changing_commands_cause_no_fault(seed, reports):
 
 @pytest.mark.parametrize("delay_s", [0.1, 0.5, 0.7])
 def test_a_drive_that_starts_late_causes_no_fault(delay_s):
-    """A brake that opens, a converter that magnetises its motor."""
+    """Such drives open a brake first, or magnetise their motor."""
     rig = Wheels(reports=False)
     rig.arm()
     ready_ns = rig.input.now_ns + round((delay_s + 0.15) * 1e9)

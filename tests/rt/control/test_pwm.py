@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""pwm_step: speed to duty."""
+"""pwm_step converts a speed to a duty."""
 
 import math
 from typing import NamedTuple

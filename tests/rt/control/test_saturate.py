@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""saturate_factor: one factor for all wheels."""
+"""saturate_factor gives one factor for all wheels, by which every wheel keeps its limits."""
 
 import math
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The speed loop against its textbook, and with wheels whose drives take a torque: it holds the
+"""The speed loop against the textbook, and on wheels whose drives take a torque: it holds the
 speed and releases a wheel that is impossibly fast."""
 
 import math
@@ -16,13 +16,14 @@ TORQUE_MAX_N_M = 8.0
 INERTIA_KG_M2, FRICTION_N_M = 0.07, 0.3
 SPEED_M_S, RADIUS_M = 0.5, 0.1
 REST = pytest.approx(0.0, abs=0.01)
-"""Of a loop with an integral that balances the friction: slower than rest_velocity_rad_s by far."""
+"""Speed of a wheel at rest, also with an integral that balances the friction: much lower than
+rest_velocity_rad_s."""
 anything = st.floats(width=64)
 REST_RAD_S = 0.05
 
 
 class Loop:
-    """One loop by itself. `begun`: it has made a step before."""
+    """One loop by itself. `begun`: whether it has made a step before."""
 
     def __init__(self, config=None, begun=1, **state):
         self.state = ffi.new("speed_loop_state *", {"begun": begun} | state)
@@ -92,7 +93,7 @@ speeds = st.lists(
     filter_s=st.floats(0.0, 0.5), dt_s=st.floats(0.0005, 0.1),
 )  # fmt: skip
 def test_a_run_matches_the_textbook(run, limits, gains, filter_s, dt_s):
-    # rest has a rule of its own: with a set-point of zero none of these is that slow
+    # rest has a rule of its own, so no sample is that slow while its set-point is zero
     want, measured = np.array([(w, m if w or abs(m) > REST_RAD_S else 1.0) for w, m in run]).T
     names = ("proportional", "integral", "derivative", "static", "viscous", "acceleration")
     correction, low, high = limits
@@ -119,7 +120,7 @@ def test_a_run_matches_the_textbook(run, limits, gains, filter_s, dt_s):
 def test_without_feed_forward_and_derivative_it_is_the_plain_pi_bit_for_bit(
     run, most, proportional, integral
 ):
-    """The loop of robot files that have none of the newer gains."""
+    """Robot files without the newer gains get this loop."""
     loop, total = Loop(torque_loop(proportional, integral, most)), 0.0
     for want, measured in run:
         error = want - measured

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The twist between here and a goal: limits of the body and of every wheel, in every tick."""
+"""The ramp of the twist to a goal keeps the limits of the body and of every wheel in every tick."""
 
 import math
 from itertools import pairwise
@@ -15,7 +15,7 @@ from tests.rt.core_rig import TICK_S, TRACK_M, Rig, core_config, joint_config
 RADIUS_M = 0.1
 TINY = 1e-9
 ROUNDING_U_S = 1e-13
-"""Of a velocity: a few units in the last place."""
+"""Rounding error of a velocity: a few units in the last place."""
 ROUNDING_U_S2 = 2.0 * ROUNDING_U_S / TICK_S
 
 
@@ -29,7 +29,7 @@ def axis(velocity: float, acceleration: float, deceleration: float, jerk: float 
 
 
 def base(linear: Any, angular: Any, low: float = -15.0, high: float = 15.0, **pwm: float) -> Rig:
-    """Two driven wheels, armed."""
+    """Return an armed base with two driven wheels."""
     joints = []
     for side in (-1.0, 1.0):
         joint = joint_config(side, velocity_min_rad_s=low, velocity_max_rad_s=high)
@@ -62,7 +62,7 @@ def aim_of(rig: Rig) -> tuple[float, float]:
 
 
 class Judge:
-    """Ticks a base, and checks each tick against every limit of body and wheels."""
+    """Runs a base tick by tick and checks each tick against every limit of body and wheels."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
@@ -132,7 +132,7 @@ class Judge:
             self.tick()
 
     def rest(self, within_s: float, *, urgent: bool = False) -> int:
-        """Ticks until the base rests; its curvature stays."""
+        """Tick until the base rests; return the number of ticks. The curvature must stay."""
         start = self.before
         scale = max(abs(start[0]), abs(start[1]), 1e-300)
         for ticks in range(round(within_s / TICK_S) + 1):
@@ -144,7 +144,7 @@ class Judge:
         raise AssertionError(f"{self.before} after {within_s} s")
 
 
-# ---------------------------------------------------------------------------------- what went wrong
+# ---------------------------------------------------------------------------------- earlier defects
 def test_a_stop_in_a_curve_on_wheels_that_cannot_reverse_brakes_within_its_limits():
     rig = base(axis(1.0, 1.0, 1.5), axis(2.0, 3.0, 0.8), low=0.0)
     rig.drive(0.5, 1.9)
@@ -170,7 +170,7 @@ def test_from_straight_on_to_turning_on_the_spot_no_limit_is_exceeded():
     assert judge.before == (0.0, 4.0)
 
 
-# ------------------------------------------------------------------------------- what always holds
+# -------------------------------------------------------------------------------------- invariants
 UP = st.sampled_from([0.2, 0.5, 1.0, 1.5, 3.0, 8.0])
 JERK = st.sampled_from([math.inf, math.inf, 1.0, 5.0, 8.0, 40.0, 900.0])
 AXIS = st.builds(axis, st.sampled_from([0.3, 1.0, 2.0]), UP, UP, JERK)
@@ -184,7 +184,8 @@ SEED = st.integers(0, 2**32)
 
 
 def walk(judge: Judge, chance: Random) -> None:
-    """Goals near and far, some for a few ticks only; limits that change; a stop now and then."""
+    """Drive to random goals, near and far, some for a few ticks only; change the limits; stop now
+    and then."""
     limits = judge.limits
     first = [tuple(getattr(a, name) for name in axis(0, 0, 0)) for a in limits]
     for _ in range(chance.randint(2, 7)):

@@ -43,7 +43,7 @@ def config_of(kind, **joint):
 
 
 def in_order(twist):
-    """As the core has the axes: linear, angular, lateral."""
+    """Return the twist in the core's order of axes: linear, angular, lateral."""
     linear, lateral, angular = twist
     return [linear, angular, lateral]
 
@@ -168,7 +168,7 @@ def test_saturation_keeps_the_direction_of_motion_also_while_it_ramps(
 
 
 class Base:
-    """The bare odometry of any base: what its rims travel, in exact counts."""
+    """The bare odometry of any base, fed with exact counts of what its rims travel."""
 
     def __init__(self, kind):
         self.rows = bases_oracle.rows_of(kind)
@@ -195,7 +195,7 @@ class Base:
         return self.state
 
     def counts(self, twist, seconds):
-        """The nearest ones; and the twist that these are."""
+        """Return the counts nearest to the twist, and the twist of exactly these counts."""
         rims_m = self.rows @ np.asarray(twist) * seconds
         counts = np.rint(rims_m / (RADIUS_M * COUNT_RAD))
         return counts, bases_oracle.twist_of(self.rows, counts * RADIUS_M * COUNT_RAD / seconds)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""core_step: what a replay of its journal relies on."""
+"""core_step: the same input gives the same output. A replay of the core's journal relies on it."""
 
 from _motord_rt import ffi
 from hypothesis import given

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joints without a base, on the core: each by its own limits, in velocity or position, also where
+"""Joints without a base, on the core: each keeps its own limits of velocity or position, also while
 these change, and every stop ends at rest."""
 
 import math

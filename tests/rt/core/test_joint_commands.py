@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands of wheels, and of joints without a base: as Python packs them and the core gets them."""
+"""Commands for wheels and for joints without a base: Python packs them, the core gets them."""
 
 import math
 import struct

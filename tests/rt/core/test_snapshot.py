@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the C struct to plain values to JSON: every field, and no number that JSON does not have."""
+"""The robot state from the C struct to plain values to JSON: every field arrives, and no number
+that JSON does not have."""
 
 import dataclasses
 import json
@@ -37,11 +38,11 @@ def python_fields(kind):
 
 
 APART = {"joint", "imu", "doubt", "lateral", "steering", "speed_loop", "derating", "reason"}
-"""Structures within the state."""
+"""Fields of robot_state that are structures."""
 
 
 def raw_state():
-    """Each field another number, so that two that were swapped show."""
+    """Return a state with another number in each field, so that swapped fields show."""
     raw = ffi.new("robot_state *")
     for number, name in enumerate(c_fields("robot_state"), 1000):
         if name.endswith("covariance"):
@@ -91,14 +92,14 @@ LATERAL = {
     "slip_m_s": "slip_m_s",
     "lateral_covariance": "covariance",
 }
-"""Fields of the snapshot, by those of lateral_state, in their order."""
+"""Snapshot's field → field of lateral_state, in the order of the C struct."""
 STEERING = {
     "position_setpoints_rad": "setpoint_rad",
     "misaligned_rad": "misaligned_rad",
     "position_joints": "joints",
     "position_unknown": "unknown",
 }
-"""And by those of steering_state."""
+"""Snapshot's field → field of steering_state, in the order of the C struct."""
 
 
 def test_the_names_are_those_of_the_c_struct():

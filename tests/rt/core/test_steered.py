@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bases whose wheels are steered, on the core: kinematics, limits of every joint, stops, odometry,
-and what happens where a wheel is not at its angle."""
+and the reaction to a wheel that is not at its angle."""
 
 import math
 
@@ -19,7 +19,7 @@ SLOW = st.tuples(st.floats(-0.4, 0.4), st.floats(-0.4, 0.4), st.floats(-1.0, 1.0
 
 
 def reachable(kind, twist):
-    """For a car: a curve that its steering reaches."""
+    """Return the twist; for a car, one that moves on a curve that its steering reaches."""
     linear, lateral, angular = twist
     if kind in CARS:
         return linear, 0.0, linear * max(-1.5, min(1.5, angular))
@@ -27,7 +27,7 @@ def reachable(kind, twist):
 
 
 def in_order(twist):
-    """As the core has the axes: linear, angular, lateral."""
+    """Return the twist in the core's order of axes: linear, angular, lateral."""
     return [twist[0], twist[2], twist[1]]
 
 
@@ -201,7 +201,7 @@ def test_integration_does_not_depend_on_how_time_is_split(kind, twist, parts):
 
 
 class Odometry:
-    """The bare odometry of a base whose wheels point as for a twist."""
+    """The bare odometry of a base whose wheels point as the twist requires."""
 
     def __init__(self, kind, twist):
         self.config = ffi.new("core_config *", oracle.config_of(kind))

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A ramp takes the shortest time that its limits allow, from any state, and never overshoots.
 
-How many ticks it may differ. A profile in continuous time, averaged over each tick, keeps the jerk
-from one tick to the next, so whole ticks are enough: the last one is begun and not used up (1). A
-tick in which a speed passes zero keeps the limits of both sides (1 for each axis that does so). In
-the other direction, straight lines between the middles of the ticks keep the jerk and gain as much
-speed; they begin half a tick earlier and end half a tick later (1), and where the limit changes
-with the sign, they may cut its corner (1).
+The number of ticks may differ from that time, by so many ticks as are in parentheses. A profile in
+continuous time, averaged over each tick, keeps the jerk from one tick to the next, so whole ticks
+are enough: the last one is begun and not used up (1). A tick in which a speed passes zero keeps the
+limits of both sides (1 for each axis that does so). In the other direction, straight lines between
+the middles of the ticks keep the jerk and gain as much speed; they begin half a tick earlier and
+end half a tick later (1), and where the limit changes with the sign, they may cut its corner (1).
 """
 
 import math
@@ -49,7 +49,7 @@ def ticks_at_least(changes, dt_s):
 
 
 def ramped(changes, dt_s):
-    """How many ticks `ramp_step` needs; no axis leaves the range between start and goal."""
+    """Return how many ticks `ramp_step` needs; each axis must stay between its start and goal."""
     axes, goal = ffi.new("limit_state[3]"), [one.goal_u_s for one in changes]
     rows = [(FAST_U_S, *(getattr(one.bounds, name) for name in NAMES)) for one in changes]
     for axis, one in zip(axes, changes, strict=True):
@@ -71,7 +71,7 @@ def ramped(changes, dt_s):
 # -------------------------------------------------------------------------------------- the oracle
 @given(st.floats(0.01, 5.0), UP, st.floats(0.5, 500.0))
 def test_the_oracle_has_the_times_of_the_textbook(change_u_s, most_u_s2, jerk_u_s3):
-    """Biagiotti & Melchiorri, 3.4.1: with and without reaching the acceleration limit."""
+    """Biagiotti & Melchiorri, 3.4.1, has formulae with and without the full acceleration."""
     reaches = change_u_s * jerk_u_s3 >= most_u_s2**2
     expected_s = (
         change_u_s / most_u_s2 + most_u_s2 / jerk_u_s3
@@ -87,8 +87,8 @@ def test_the_oracle_has_the_times_of_the_textbook(change_u_s, most_u_s2, jerk_u_
 @settings(max_examples=30)
 @given(BOUNDS, BOUNDS, SPEED, SPEED, SPEED, SPEED, ALONG)
 def test_the_oracle_has_the_time_of_a_forward_and_backward_pass(one, other, a, b, c, d, along):
-    """The usual method to time a path under limits: on a fine grid, the fastest that can be reached
-    from the start, then the fastest from which the end can still be reached."""
+    """Compare with the usual method to time a path under limits: on a fine grid, the highest speed
+    that the start can lead to, then the highest from which the end can still be reached."""
     changes = [Change(one, a, b, along), Change(other, c, d, along)]
     moving = [x for x in changes if x.size_u_s > 0.05 and math.isfinite(x.bounds.jerk_u_s3)]
     if not moving:
@@ -151,7 +151,7 @@ def bounds_of(limits):
 
 
 class Mecanum(Rig):
-    """Its wheels are faster than any twist, so that the limits of the base alone count."""
+    """A base whose wheels are faster than any twist, so that the limits of the base alone count."""
 
     def __init__(self, limits):
         joints = [
@@ -204,7 +204,7 @@ class Mecanum(Rig):
 
 
 def disturbed(rig, place, chance):
-    """Goals and limits that change while it moves, also below its speed."""
+    """Change goals and limits at random while the base moves, also to below its speed."""
     names = ("linear_m_s", "angular_rad_s", "lateral_m_s")
     for _ in range(chance.randint(1, 6)):
         if chance.random() < 0.5:

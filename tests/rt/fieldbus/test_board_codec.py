@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a board's thread in C writes and reads is what the asyncio engine does, byte for byte."""
+"""A board's thread in C writes and reads the same bytes as the asyncio engine."""
 
 import json
 import math
@@ -130,7 +130,7 @@ def test_a_joint_s_number_is_written_as_python_writes_it(form, left, right):
     spec = spec_of(f"{{left:{form}}};{{right:{form}}}\n")
     raw = {"target_1": left, "target_2": right}
     python, c = python_write(spec, raw), c_write(spec, raw)
-    tie = form[-1] == "g" and numbers(c) != numbers(python)  # a digit more or less
+    tie = form[-1] == "g" and numbers(c) != numbers(python)  # may differ by a digit in length
     if not tie and 0.0 not in numbers(python):  # C has no -0
         assert len(c) == len(python)
     assert c.count(b";") == 1
@@ -152,8 +152,8 @@ def test_the_base_s_speeds_are_written_as_python_writes_them(left, right):
 @pytest.mark.parametrize(
     ("form", "raw", "line"),
     [
-        ("d", 600, b"2,-2\n"),  # 1.5 and -1.5: to the even one
-        ("d", 200, b"0,0\n"),  # 0.5
+        ("d", 600, b"2,-2\n"),  # 1.5 and -1.5 are rounded to the even number
+        ("d", 200, b"0,0\n"),  # and so are 0.5 and -0.5
         ("+06.1f", 600, b"+001.5,-001.5\n"),
         (" .2f", 600, b" 1.50,-1.50\n"),
         ("7.3f", 0, b"  0.000,  0.000\n"),

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mailboxes through the lines' interface: newest wins, nothing is lost, nothing is mixed up."""
+"""The mailboxes, through the lines' interface: the newest value replaces the others, and nothing is
+lost or mixed up."""
 
 import math
 import struct

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a stamp is fresh: one rule for the core, the lines in C and the lines in asyncio."""
+"""The rule by which a stamp is fresh: one for the core, the lines in C and the lines in asyncio."""
 
 import os
 import subprocess
@@ -14,7 +14,7 @@ from motord_hal.realtime.exchange import is_fresh, now_ns
 NOW_NS = 10_000_000_000
 TIMEOUT_NS = round(SETPOINT_TIMEOUT_S * 1e9)
 AHEAD_NS = 10_000_000
-"""A stamp may be this much ahead: another thread wrote it after the clock was read."""
+"""How much a stamp may be ahead: another thread may write it after the clock was read."""
 CASES = {
     "made now": (NOW_NS, True),
     "as old as the timeout": (NOW_NS - TIMEOUT_NS, True),
@@ -72,7 +72,7 @@ int clock_gettime(clockid_t clock, struct timespec *out)
     return (int)failed;
 }
 """
-"""In the C library's place: CLOCK_MONOTONIC has stood still for `slept_s`."""
+"""Replaces clock_gettime of the C library: CLOCK_MONOTONIC seems to have stood for `slept_s`."""
 PROGRAM = """
 import ctypes
 from motord_hal.realtime.exchange import is_fresh, now_ns

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motor bridges in C: which levels the pins get, and that nothing but armed, enabled and fresh
-set-points moves anything."""
+"""Motor bridges in C: the levels of the pins, and that only armed, enabled and fresh set-points
+move a motor."""
 
 import math
 
@@ -146,7 +146,7 @@ def test_old_set_points_brake_then_take_the_power_and_it_stays_off():
 def test_set_points_that_are_no_longer_enabled_take_the_power_at_once():
     bench = Bench()
     bench.request_mode(lib.PWM_ARMED)
-    assert bench.step(0.5, enabled=False) == bench.levels("brake")  # not enabled yet
+    assert bench.step(0.5, enabled=False) == bench.levels("brake")  # not enabled before
     bench.step(0.5)
     assert bench.step(0.5, enabled=False) == bench.levels("coast")
     assert bench.step(0.5) == bench.levels("coast")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process that runs a loop, for tests that refuse it things, stop it or kill it."""
+"""A process that runs a loop, for tests that take its privileges, stop it or kill it."""
 
 import ctypes
 import dataclasses
@@ -13,11 +13,11 @@ from tests.rt.small_base import LIMITS, arm, core_config, report_wheels, setting
 from motord.realtime import loop as rt
 from motord_hal.realtime.exchange import now_ns
 
-MADV_DONTNEED, MADV_DONTDUMP = 4, 16  # asm-generic/mman-common.h
+MADV_DONTNEED, MADV_DONTDUMP = 4, 16  # from asm-generic/mman-common.h
 
 
 def refused() -> None:
-    """Without any privileges: the loop's report of itself, as JSON."""
+    """Run a loop without any privileges; print its status as JSON."""
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (64 * 1024, 64 * 1024))
     loop = rt.Loop(core_config(), settings(lock_memory=True))
@@ -38,7 +38,7 @@ def refused() -> None:
 
 def forget_code(of: str) -> None:
     """Drop a loaded library's code from the page table, and cut its mapping into single pages, so
-    that the kernel brings no neighbours along: each first use of a page is a fault."""
+    that the kernel maps no neighbouring pages: each first use of a page is a fault."""
     libc = ctypes.CDLL(None, use_errno=True)
     libc.madvise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
     page_bytes = resource.getpagesize()
@@ -53,7 +53,7 @@ def forget_code(of: str) -> None:
 
 
 def drive() -> None:
-    """The first drive of a process, to which all code is new: the page faults that it cost."""
+    """Print the page faults of a process's first drive, which runs all code for the first time."""
     loop = rt.Loop(core_config(), settings(lock_memory=False))
     forget_code("_motord_rt")
     forget_code("libm.so")
@@ -68,7 +68,7 @@ def drive() -> None:
         state = loop.read_state()
         loop.put_control(rt.Control(armed=True, estop=True, limits=LIMITS))
         until(lambda: "estop" in loop.read_state().faults)
-        seen = loop.status().ticks + 600  # it counts them in every 256th tick
+        seen = loop.status().ticks + 600  # the loop counts page faults in every 256th tick
         until(lambda: loop.status().ticks > seen)
         answer = {"page_faults": loop.status().page_faults, "distance_m": state.distance_m}
     print(json.dumps(answer))

@@ -33,13 +33,14 @@ class Sources(RuleBasedStateMachine):
         self.arbiter = Arbiter()
         self.now_ns = START_NS
         self.stopped = set()
-        """Sources that have requested motion without a break since the last stop."""
+        """Leases that have requested motion without a break since the last stop: held at zero."""
         self.left = {}
-        """Owners of those whose connection ended, and when their lease would have."""
+        """Owners whose connection ended while their lease was held → when that lease would expire,
+        ns: until then the owner's next lease is barred from motion."""
         self.sent = {}
-        """The same for each lease that there is: the last command of it."""
+        """Each lease that has sent a command → the time until which it is barred, ns; 0: never."""
         self.barred = set()
-        """Those that have sent nothing since they were barred."""
+        """Leases that have sent nothing since they were barred."""
 
     @rule(**KEYS, priority=st.integers(0, 3), lease_ms=st.integers(20, 5000),
           linear_m_s=st.sampled_from([0.0, -0.0, 0.5, 1e300]))  # fmt: skip

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How often a lease may command, and how often it does."""
+"""The limit on the rate of a lease's commands, and the measured rate."""
 
 import pytest
 from _motord_rt import ffi, lib

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon's leases over the real loop: a source that was held when it left stays held."""
+"""The daemon's leases over the real loop: a held source that disconnects stays held."""
 
 import pytest
 from tests.rt.small_base import FOREVER_S, LIMITS, arm, core_config, settings, until
@@ -24,7 +24,7 @@ async def drive(leases, connection, linear_m_s, owner="teleop", lease_s=LEASE_MA
 
 
 async def stop_and_go(loop, leases):
-    """A stop that is over; another source may move."""
+    """Begin and end a stop; check that another source may move."""
     loop.put_control(rt.Control(armed=True, stop=True, limits=LIMITS))
     until(lambda: leases.commander().held)
     loop.put_control(rt.Control(armed=True, limits=LIMITS))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The real-time loop as the daemon has it. Waits are for conditions; nothing here is timed."""
+"""The real-time loop as the daemon runs it. Tests wait for conditions; nothing here is timed."""
 
 import math
 import os
@@ -53,7 +53,7 @@ def test_python_that_starts_processes_costs_the_thread_no_page_fault():
     with rt.Loop(core_config(), settings(lock_memory=True, hold_dma_latency=True)) as loop:
         for _ in range(20):
             subprocess.run(["true"], check=True, timeout=60)
-        seen = loop.status().ticks + 600  # it counts them in every 256th tick
+        seen = loop.status().ticks + 600  # the loop counts page faults in every 256th tick
         until(lambda: loop.status().ticks > seen)
         status = loop.status()
         assert status.page_faults == 0
@@ -103,7 +103,7 @@ def test_it_restarts_disarmed_and_without_its_old_commands():
         try:
             arm(loop).send(0.5, 0.0)
             until(lambda: loop.read_state().setpoint_linear_m_s > 0)
-        finally:  # a loop that runs on takes down the tests after it
+        finally:  # a loop that continues to run makes the next tests fail
             loop.stop()
         loop.stop()
     assert fds() == before
@@ -224,7 +224,7 @@ def test_the_thread_treats_denormal_numbers_as_zero():
             return loop.read_state().linear_m_s != 0
 
         until(lambda: received(1e-3))  # so that the feedback goes into the measured speed
-        until(lambda: not received(1e-307))  # times 0.1 m: a denormal
+        until(lambda: not received(1e-307))  # times the radius of 0.1 m it is a denormal number
         assert loop.read_state().joints[0].velocity_rad_s == 1e-307
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a datagram does to the loop and to the lines that wait for it. Waits are for conditions."""
+"""Effects of a datagram on the loop and the lines that wait for it. Tests wait for conditions."""
 
 import contextlib
 import os
@@ -16,7 +16,7 @@ LATENESS = rt.HistogramKind.LATENESS
 
 
 class Line:
-    """A thread that the loop wakes, as it does that of a serial line."""
+    """Stands for the thread of a serial line, which the loop wakes."""
 
     def __init__(self, loop):
         self.loop = loop
@@ -34,7 +34,7 @@ class Line:
         return False
 
     def settle(self):
-        """After this no earlier action wakes it."""
+        """Wait until no earlier action can wake the line any more."""
         ticks_pass(self.loop)
         self.was_woken()
 

@@ -15,7 +15,7 @@ from motord_hal.realtime.exchange import Exchange
 
 MS = 1_000_000
 GPIO_V2_LINE_SET_VALUES_IOCTL = 0xC010B40F
-"""include/uapi/linux/gpio.h"""
+"""Defined in include/uapi/linux/gpio.h."""
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def pipe():
 
 
 def looped(**changes):
-    """A loop with these pins."""
+    """Return a loop with a guard (the pins of safety) that has these changes."""
     guard = {
         "estop": 0,
         "estop_fd": -1,
@@ -47,7 +47,8 @@ def later(loop, ticks=20):
 
 
 def stands_still(loop):
-    """Low, and no more edges. A tick that has begun may still make one."""
+    """Wait until the watchdog pin is low; return whether it makes no more edges. A tick that has
+    begun may still make one."""
     until(lambda: not loop.status().watchdog)
     before = loop.status().watchdog_edges
     later(loop)
@@ -80,7 +81,8 @@ def test_no_reset_clears_it_while_the_input_reports_stop(pipe):
 
 
 def reason_of(fd):
-    """Why it is no GPIO line (ENOTTY; an emulator that does not know the request has another)."""
+    """Return the errno for a descriptor that is no GPIO line: ENOTTY, but another one in an
+    emulator that does not know the request."""
     with pytest.raises(OSError) as refused:
         fcntl.ioctl(fd, GPIO_V2_LINE_SET_VALUES_IOCTL, bytes(16))
     return refused.value.errno

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the kernel grants the loop or refuses; and what the loop does when stopped or killed."""
+"""The rights that the kernel gives or refuses the loop, and a loop that is stopped or killed."""
 
 import contextlib
 import errno
@@ -22,7 +22,7 @@ from motord.realtime import loop as rt
 from motord.realtime import permissions
 
 CHILD = Path(__file__).parent / "loop_child.py"
-CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # linux/capability.h
+CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # from linux/capability.h
 NAME = f"test-loop-{os.getpid()}"
 
 
@@ -35,7 +35,8 @@ def environment() -> dict[str, str]:
 
 
 def without_privileges(arguments: list[str]) -> list[str]:
-    """The command line that runs them as a user without locked memory and real-time priority."""
+    """Return the command line that runs `arguments` without the capabilities for locked memory and
+    real-time priority."""
     status = Path("/proc/self/status").read_text()
     effective = int(status.partition("CapEff:")[2].split()[0], 16)
     if not effective >> CAP_SYS_NICE & 1 and not effective >> CAP_IPC_LOCK & 1:

@@ -20,7 +20,7 @@ SPEED_M_S = 0.5
 
 @pytest.fixture
 def wire():
-    """Its far end is the loop's."""
+    """The sockets of the test and of the loop, through which stop requests go."""
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     far.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
     os.set_blocking(far.fileno(), False)
@@ -45,7 +45,7 @@ def holding(wire):
 
 
 def driving(loop):
-    """Armed, at speed, by a command that lasts."""
+    """Arm and drive to full speed; return the lease, whose command lasts."""
     lease = arm(loop)
     until(lambda: loop.read_state().reasons == ())
     lease.send(SPEED_M_S, 0.0)

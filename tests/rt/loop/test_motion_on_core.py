@@ -17,7 +17,7 @@ TICKS_MAX = 200_000
 
 
 class Drive:
-    """A core that is armed, and a motion that sees its state `looks_late` looks later."""
+    """An armed core, and a motion that sees each state of it `looks_late` looks later."""
 
     def __init__(self, limits, goal, looks_late):
         self.rig = Rig(core_config(limits={"lateral": limits["linear"], **limits}))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the daemon reports about a latched fault, over the real loop."""
+"""Reports of the daemon about a latched fault, over the real loop."""
 
 import asyncio
 from dataclasses import replace
@@ -60,7 +60,7 @@ def test_a_drive_fault_without_a_latched_fault_is_not_a_reason(operation):
 
 
 def test_a_stop_is_over_only_when_the_loop_has_seen_it(operation):
-    """Its newest state may be from before the stop request; the robot rests in it."""
+    """The loop's newest state may be from before the stop request, with a robot at rest."""
     operation.take(Event.STOP)
     assert operation.snapshot.at_rest
     operation.loop.read_state = lambda: operation.snapshot
@@ -88,7 +88,7 @@ def ticks(operation, count):
 
 
 async def looking(operation, procedure):
-    """What it returns, while the newest state is processed."""
+    """Return the result of `procedure`; process the newest state while it runs."""
     running = asyncio.ensure_future(procedure)
     while not running.done():
         operation.look()
@@ -97,7 +97,7 @@ async def looking(operation, procedure):
 
 
 class LineWithAPanel:
-    """A person presses the emergency stop while its drives are cleared."""
+    """A line on which a person presses the emergency stop while faults are cleared."""
 
     state, drive_states, drive_faults = LineState.READY, {}, {}
 

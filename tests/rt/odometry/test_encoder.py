@@ -14,7 +14,7 @@ PER_COUNT = 2.0 * math.pi / 1320
 MS = 1_000_000
 START_NS = 1_000_000_000
 GRAY = [(0, 0), (1, 0), (1, 1), (0, 1)]
-"""A and B as the wheel goes forward."""
+"""Levels of (A, B), edge by edge, as the wheel turns forward."""
 
 
 class Edges:

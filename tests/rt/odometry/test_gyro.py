@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gyro in the core: its zero, its turn, and a heading that does not jump between it and the
-wheels."""
+"""The gyro in the core: its zero, its turn, and a heading that does not jump when the gyro replaces
+the wheels or the wheels the gyro."""
 
 import math
 import random
@@ -33,9 +33,9 @@ class GyroRig(Rig):
         self.random = random.Random(4)
         self.received = True
         self.slip_left = 0.0
-        """Part of the left wheels' turn that moves nothing on the ground."""
+        """Share of the left wheels' turn that is slip, 0 to 1."""
         self.still = False
-        """The base does not turn though the wheels do."""
+        """Whether the base does not turn though its wheels do."""
         self.sign = 1.0
         self.true_heading_rad = 0.0
         self.ticked = 0
@@ -135,7 +135,7 @@ def test_the_heading_does_not_jump_when_wheels_replace_the_gyro_and_back():
             before_rad = rig.shown.heading_rad
             rig.tick()
             step_rad = math.remainder(rig.shown.heading_rad - before_rad, 2.0 * math.pi)
-            assert abs(step_rad - 0.5 * 0.001) < 1e-3  # two counts of an encoder
+            assert abs(step_rad - 0.5 * 0.001) < 1e-3  # about two counts of an encoder
             seen.add((rig.imu.state, rig.imu.heading_by_gyro))
     assert seen == {(lib.GYRO_USED, 1), (lib.GYRO_STALE, 0), (lib.GYRO_USED, 0)}
     assert rig.heading_error_rad() < 0.01

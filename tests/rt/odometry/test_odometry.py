@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Counters to pose against the textbook: wraps, arcs, covariance; and counters that are late or
-wrong."""
+"""The pose from counters, compared with the textbook: wraps, arcs, covariance; and counters that
+are late or wrong."""
 
 import math
 import random
@@ -16,12 +16,12 @@ from tests.rt.core_rig import RAD_PER_COUNT, RADIUS_M, TRACK_M, core_config, joi
 
 STEP_NS = 10_000_000
 STEP_S = 0.01
-LOOK_NS = 50_000_000  # SPREAD_EVERY_NS of csrc/core/core.h
+LOOK_NS = 50_000_000  # SPREAD_EVERY_NS in csrc/core/core.h
 LEFT, RIGHT = 0, 1
 
 
 class Base:
-    """An odometry_state with its feedback; counts and time by hand."""
+    """An odometry_state with its feedback; the test sets counts and time."""
 
     def __init__(self, step_ns: int = STEP_NS, **changes: Any) -> None:
         rows = [joint_config(side, **changes) for side in (-1.0, 1.0)]
@@ -40,7 +40,7 @@ class Base:
         lib.odometry_step(self.state, self.config, self.feedback, self.stale, self.setpoint)
 
     def step(self, left: int, right: int) -> None:
-        """Advance time; each joint counts on by its number and reports."""
+        """Advance time; each joint's counter advances by the given number and is reported."""
         self.now_ns += self.step_ns
         for j, count in ((LEFT, left), (RIGHT, right)):
             bits = self.config.joint[j].counter_bits or 64

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixed buckets against sorted lists."""
+"""Histograms with fixed buckets, compared with sorted lists."""
 
 import math
 

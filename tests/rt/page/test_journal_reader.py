@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the reader of a journal takes from the ring that the loop writes."""
+"""The reader of a journal, on the ring that the loop writes."""
 
 import mmap
 import os
@@ -16,7 +16,7 @@ from motord.realtime.replay import CHECKPOINT_BYTES, RECORD_BYTES, tick_of, tick
 
 
 class Writer:
-    """A journal as the loop writes it, of steps that are nothing but their number."""
+    """A journal as the loop writes it, whose steps contain only their number."""
 
     def __init__(self, file):
         os.truncate(file.fd, lib.journal_bytes())
@@ -52,7 +52,7 @@ def written():
 
 
 def parts(message):
-    """Ticks of the states and of the records in a message."""
+    """Return the ticks of the states and of the records in a message."""
     at, found = 16, []
     for size, tick in ((CHECKPOINT_BYTES, tick_of_state), (RECORD_BYTES, tick_of)):
         length = struct.unpack_from("<I", message, at)[0]

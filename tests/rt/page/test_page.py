@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state page as docs/state-page.md promises it, to our own reader and to the C one of docs/."""
+"""The state page is as docs/state-page.md promises, for our reader and for the C one of docs/."""
 
 import errno
 import os
@@ -23,7 +23,7 @@ SLOTS = 4
 
 
 class Page:
-    """Memory of the right size and place."""
+    """Memory of a page's size and alignment."""
 
     def __init__(self):
         self.keep = ffi.new("uint8_t[]", lib.PAGE_BYTES + 64)
@@ -100,7 +100,7 @@ def test_the_header_is_the_documented_one(page):
 
 def test_a_reader_that_is_overtaken_in_every_try_gives_up(page):
     page.write(payload_of(1))
-    page.bytes[64:72] = struct.pack("=Q", 2 * 5 - 1)  # the writer is in that slot again
+    page.bytes[64:72] = struct.pack("=Q", 2 * 5 - 1)  # the writer writes in that slot again
     assert page.read() == -errno.EAGAIN
 
 

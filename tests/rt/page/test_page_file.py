@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which process owns the file of the state page."""
+"""Ownership of the state page's file: one process holds it."""
 
 import contextlib
 import os
@@ -29,7 +29,7 @@ sys.stdin.read()
 
 @pytest.fixture(autouse=True)
 def shared(tmp_path, monkeypatch):
-    """As /dev/shm: every user may make files, and no user may remove those of others."""
+    """Stands for /dev/shm: every user may make files, and no user may remove those of others."""
     monkeypatch.setattr(page_file, "SHARED", tmp_path)
     open_to_others(tmp_path)
     tmp_path.chmod(0o1777)
@@ -38,7 +38,7 @@ def shared(tmp_path, monkeypatch):
 
 @pytest.fixture
 def folder(shared):
-    """This user's own."""
+    """The folder of this user in `shared`."""
     found = shared / f"motord-{os.geteuid()}"
     found.mkdir(mode=0o755)
     return found
@@ -46,7 +46,7 @@ def folder(shared):
 
 @pytest.fixture
 def holder(shared):
-    """A daemon that lives and holds the page of `robot`."""
+    """A process that holds the page of `robot`, as a living daemon does."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     with subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(shared)],
@@ -129,7 +129,7 @@ def test_a_name_that_is_not_a_file_name_is_refused(name):
 
 
 def open_to_others(folder):
-    """Lets other users reach it: the folders above it, below the temporary one, are ours."""
+    """Let other users reach `folder`: open the folders above it up to the temporary one."""
     for above in folder.parents:
         if above == Path(tempfile.gettempdir()):
             return
@@ -224,7 +224,7 @@ def test_a_page_that_is_not_a_private_plain_file_of_this_user_is_replaced(folder
         path.chmod(0o666 if kind == "others write" else 0o644)
     if kind == "second name":
         os.link(path, path.with_name("second"))
-    before = os.open(path, os.O_PATH)  # its inode number is not reused
+    before = os.open(path, os.O_PATH)  # while it is open, its inode number is not reused
     with PageFile.open("robot") as page:
         assert stat.S_IMODE(path.lstat().st_mode) == 0o644
         assert stat.S_ISREG(os.fstat(page.fd).st_mode)

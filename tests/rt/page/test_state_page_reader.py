@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reader in plain Python sees what the C core writes, and nothing where no whole page is."""
+"""The reader in plain Python sees what the C core writes, and nothing where a page is missing or
+incomplete."""
 
 import json
 import mmap
@@ -19,7 +20,7 @@ from motord.api.state_page import NoPage, StatePage
 
 @pytest.fixture
 def page():
-    """A page's name, its path, and a view through which the C core writes."""
+    """The name of a page, its path, and its open file, into which the C core writes."""
     name = f"t{uuid.uuid4().hex[:12]}"
     path = own_page(name)
     path.write_bytes(bytes(lib.PAGE_BYTES))

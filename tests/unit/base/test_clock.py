@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits on waiting, also where a cancelled task cleans up."""
+"""Limits on the time of waiting, also while a cancelled task cleans up."""
 
 import asyncio
 
@@ -9,7 +9,7 @@ from motord_hal.base.clock import within
 
 
 async def cancelled(cleaning_up):
-    """Cancels a task that then runs `cleaning_up`."""
+    """Cancel a task, which then runs `cleaning_up`, and wait for its end."""
     begun = asyncio.Event()
 
     async def work():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log as the journal receives it on its socket, and as a reader of stderr does."""
+"""The log, as the journal receives it on its socket and as it arrives on stderr."""
 
 import contextlib
 import os
@@ -32,7 +32,7 @@ def journal(tmp_path):
 
 
 def logged(journal, text, stream="same"):
-    """stderr of a process that logs one warning."""
+    """Return the stderr of a process that logs `text` as a warning."""
     command = [sys.executable, "-c", PROGRAM, journal.getsockname(), stream, text]
     return subprocess.run(command, stderr=subprocess.PIPE, check=True, timeout=30).stderr.decode()
 
@@ -85,7 +85,7 @@ logger.warning("received")
 
 
 def test_a_full_stderr_loses_lines_and_counts_them(tmp_path):
-    """The pipe is full, has no reader and does not block: lines that find no room are counted."""
+    """The pipe is full, is not read and does not block: lines that find no room are counted."""
     reading, writing = os.pipe2(os.O_NONBLOCK)
     with contextlib.suppress(BlockingIOError):
         while True:

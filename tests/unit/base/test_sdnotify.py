@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What reaches a supervisor's socket, on real sockets."""
+"""Messages to a supervisor's socket, on real sockets."""
 
 import os
 import socket
@@ -43,7 +43,7 @@ def test_a_supervisor_that_does_not_read_blocks_nothing(supervisor):
     notifier = Notifier({"NOTIFY_SOCKET": name})
     assert notifier.watchdog()
     while notifier.watchdog():
-        pass  # until its queue is full: then the message is lost, at once
+        pass  # until the supervisor's queue is full: then the message is lost, without a wait
     assert not notifier.watchdog()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Templates that are JSON objects: written as they stand, read by the names of their members."""
+"""Templates that are JSON objects: they are written as given, and read by their members' names."""
 
 import json
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The board's clock in the computer's time: a frame that waited in a buffer keeps its age."""
+"""Conversion from the board's clock to the computer's: a frame that waited keeps its age."""
 
 import pytest
 from hypothesis import given
@@ -9,7 +9,7 @@ from motord_hal.realtime.board import BoardClock
 
 MS = 1_000_000
 SAMPLES_KEPT = 32
-"""BOARD_CLOCK_SAMPLES: csrc/api/line/api_board.h."""
+"""Value of BOARD_CLOCK_SAMPLES in csrc/api/line/api_board.h."""
 WRAP_US = 1 << 32
 
 
@@ -44,7 +44,7 @@ def test_frames_that_waited_get_the_time_at_which_they_were_made():
     clock = BoardClock()
     for n in range(10):
         assert clock.stamp_ns(n * 20_000, n * 20 * MS) == n * 20 * MS
-    late_ns = 1000 * MS  # the process was stopped; all came at once
+    late_ns = 1000 * MS  # the process was stopped; all frames arrive at once
     stamps = [clock.stamp_ns(n * 20_000, late_ns) for n in range(10, 20)]
     assert stamps == [n * 20 * MS for n in range(10, 20)]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GPIO chips and lines: what is refused before the kernel is called."""
+"""GPIO chips and lines: requests that are refused before the kernel is called."""
 
 import errno
 import os
@@ -64,7 +64,7 @@ def test_a_name_that_two_lines_have_is_refused_with_their_numbers():
 
 
 class Gone:
-    """gpiod.Chip of a chip that was pulled."""
+    """Stands for the gpiod.Chip of a chip that was unplugged."""
 
     def get_line_info(self, offset):
         raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))

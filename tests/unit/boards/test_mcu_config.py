@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Boards in a robot file: what their line may contain, and what the hardware layer gets."""
+"""Boards in a robot file: the allowed content of a line, and the values for the hardware layer."""
 
 from pathlib import Path
 

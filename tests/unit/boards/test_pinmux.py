@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The step that gives a pin the function of the robot file, by board; and what has the pin now."""
+"""Advice on a pin with another function than in the robot file: the step that changes it, by board,
+and what uses the pin now."""
 
 import pytest
 
@@ -22,7 +23,7 @@ def tree(tmp_path, compatible):
 
 
 def pinmux(tmp_path, *rows):
-    """debugfs with the pins of a Pi 5."""
+    """Make a debugfs with these rows for the pins of a Pi 5; return its folder."""
     folder = tmp_path / "debug/pinctrl" / RP1
     folder.mkdir(parents=True)
     head = ("Pinmux settings per pin", "Format: pin (name): mux_owner gpio_owner hog?")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pins of motor bridges: what a robot file may name, how chips are found, what is reported."""
+"""Pins of motor bridges: names in a robot file, the search for chips, reports of problems."""
 
 import asyncio
 import errno
@@ -46,7 +46,7 @@ def line_of(robot_joint):
 
 
 def pwm_tree(tmp_path, *devices):
-    """Chips of /sys/class/pwm, as links to their devices' folders."""
+    """Make /sys/class/pwm, whose chips are links into the folders of `devices`; return its path."""
     root = tmp_path / "class"
     root.mkdir()
     for number, device in enumerate(devices):

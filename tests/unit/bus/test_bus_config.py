@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Buses in a robot file: what is refused, and what a topic's rate is."""
+"""Buses in a robot file: mistakes that are refused, and the rates of topics."""
 
 import pytest
 from tests.unit.bus.bus_config_rig import DEMO, errors, robot_file

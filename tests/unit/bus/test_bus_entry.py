@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord-bus` started by hand: what it prints when it cannot work."""
+"""`motord-bus` started by hand prints why it cannot work."""
 
 import subprocess
 import sys

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Feeds never wait and never grow; sources lose commands rather than keep them; adapters are found
-by name, and one that cannot be made stops no other."""
+"""Feeds never wait and never grow; sources drop commands rather than keep them; adapters are found
+by name, and an adapter that cannot be made stops no other one."""
 
 import asyncio
 import contextlib
@@ -215,7 +215,8 @@ def test_only_the_exact_token_is_accepted(tmp_path_factory, shown):
 
 @contextlib.asynccontextmanager
 async def answering(path, answer, *, stay=False):
-    """Serves `answer` to every request at the daemon's socket; yields the requests."""
+    """Serve `answer` to every request at the daemon's socket; yield the requests. `stay`: keep each
+    connection open until the client closes it."""
 
     asked = []
 

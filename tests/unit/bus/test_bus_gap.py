@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process that stood still: what comes right after that may be old."""
+"""A gap, in which the process stood still: messages that arrive right after it may be old."""
 
 import asyncio
 import contextlib
@@ -95,7 +95,7 @@ async def test_a_command_with_a_stamp_is_judged_by_its_stamp():
 
 @pytest.fixture
 def gate():
-    """Commands must have a stamp; calls have none."""
+    """A command gate whose commands must have a stamp; calls have no stamp."""
     runtime = Runtime(load_robot(DEMO), Path("no.sock"))
     return CommandGate("net", Ros2Input(kind="ros2", lease_s=0.1), runtime)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An adapter that fails is run again, counted and reported once, and no other one fails."""
+"""An adapter that fails runs again; each failure is counted, the first reported; no other fails."""
 
 import asyncio
 from pathlib import Path

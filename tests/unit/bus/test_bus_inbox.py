@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From threads to the event loop: messages that are left there, and calls that wait."""
+"""From threads to the event loop: messages that a thread puts in an inbox, and calls that wait."""
 
 import asyncio
 import contextlib
@@ -78,7 +78,7 @@ async def test_a_full_inbox_keeps_the_newest_in_their_order():
         for number in range(9):
             inbox.put(number)
 
-    put()  # the loop has no time to take any
+    put()  # does not await, so the loop takes no message meanwhile
     async with asyncio.timeout(DEADLINE_S):
         while len(taken) < 3:
             await asyncio.sleep(0)

@@ -74,7 +74,7 @@ def test_c_and_python_read_the_same_bytes_as_a_twist(tail, frame_bytes):
     raw = b"\0\1\0\0" + struct.pack("<iII", 5, 6, frame_bytes) + tail
     one = parsed(raw)
     text = raw[16 : 16 + frame_bytes].removesuffix(b"\0")
-    assume(text.decode(errors="replace").encode() == text)  # C does not look at the frame
+    assume(text.decode(errors="replace").encode() == text)  # C does not check the frame's name
     sent = understood(raw)
     assert (one is None) == (sent is None)
     if sent is not None:
@@ -119,7 +119,7 @@ def test_c_reads_from_a_message_what_the_gate_reads(stamped):
 
 
 class Outlet:
-    """The sender of a receiver that has no thread."""
+    """A receiver without a thread: the test sends through it."""
 
     def __init__(self):
         self.number = lib.receiver_claim()
@@ -203,7 +203,7 @@ def test_no_more_receivers_are_claimed_than_there_are():
 
 
 def test_a_receiver_that_could_not_be_opened_is_free_again(no_descriptor_left):
-    """After any number of tries."""
+    """No failed try uses up a receiver: there are more tries than receivers."""
     for _ in range(lib.RECEIVERS_MAX + 1):
         receiver = Receiver(SimpleNamespace(ffi=ffi, lib=lib), SimpleNamespace(_ref=1))
         with no_descriptor_left(), pytest.raises(OSError, match="Too many open"), receiver.open():

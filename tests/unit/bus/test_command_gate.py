@@ -35,7 +35,7 @@ def unstamped(tmp_path_factory):
 
 @given(message=JSON)
 def test_anything_that_is_json_is_taken_or_refused(unstamped, message):
-    with pytest.raises(NotTaken):  # there is no lease: what is well formed is refused for that
+    with pytest.raises(NotTaken):  # a well-formed command is refused too: it has no lease
         unstamped.drive(message)
 
 

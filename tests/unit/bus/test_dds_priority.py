@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Threads between DDS and the daemon run before Python, and lose that when they are flooded."""
+"""Threads between DDS and the daemon have real-time priority, and lose it when they are flooded."""
 
 import json
 import os
@@ -55,7 +55,7 @@ LONG, SHORT = 50_000_000, 1
 
 
 def ran(iterations):
-    """What the child found, and what it logged."""
+    """Run the child; return its findings and its log."""
     done = subprocess.run(
         [sys.executable, "-c", CHILD, str(iterations)],
         capture_output=True, text=True, timeout=60, check=True,

@@ -23,7 +23,7 @@ async def greet(request):
     if request.path == "/large":
         return web.Response(body=bytes(LARGE_BYTES))
     if request.path == "/file":
-        return web.FileResponse(FILES["large"])  # sent by the kernel
+        return web.FileResponse(FILES["large"])  # the kernel sends it (sendfile)
     return web.Response(text=f"hello {request.path}")
 
 
@@ -109,7 +109,7 @@ async def test_the_oldest_of_too_many_idle_connections_makes_room(monkeypatch, p
 
 @contextlib.contextmanager
 def asking(port, path, received_bytes):
-    """A client that has sent its request; its socket buffers about `received_bytes` of answer."""
+    """Yield a client that has sent a request; its socket buffers about `received_bytes`."""
     with socket.socket() as client:
         client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, received_bytes)
         client.connect(("127.0.0.1", port))
@@ -142,7 +142,7 @@ async def test_a_client_that_does_not_read_its_answer_keeps_no_descriptor(monkey
     before = descriptors()
     with asking(port, path, 4096) as client:
         await until(lambda: answered(client))
-        await until(lambda: descriptors() == before + 1)  # only that of the client is left
+        await until(lambda: descriptors() == before + 1)  # only the client's own is left
     assert (await asked(port, "/b"))[0] == 200
 
 
@@ -152,7 +152,7 @@ async def test_a_client_that_reads_slowly_gets_its_whole_answer(monkeypatch, por
     monkeypatch.setattr(http_server, "STANDS_MAX_S", 0.2)
     taken = 0
     with asking(port, path, 1 << 18) as client:
-        while taken < LARGE_BYTES:  # for many times STANDS_MAX_S
+        while taken < LARGE_BYTES:  # takes many times STANDS_MAX_S
             await asyncio.sleep(0.01)
             with contextlib.suppress(BlockingIOError):
                 found = client.recv(1 << 16)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes that pages have started, and that fail: a shell script takes their place."""
+"""Processes that pages start, and that fail: a shell script stands for each."""
 
 import asyncio
 import contextlib
@@ -20,7 +20,7 @@ SPIN = {"procedure": "spin"}
 
 
 class Page:
-    """Keeps what it is sent."""
+    """A page that keeps the messages to it."""
 
     name, keeps_up = "page 1", True
 
@@ -33,7 +33,7 @@ class Page:
 
 @pytest.fixture
 def carried_out_by(monkeypatch, tmp_path):
-    """Replaces every process by this script."""
+    """Return a function that makes each process run a shell script instead."""
 
     def replace(script):
         program = tmp_path / "program"
@@ -46,7 +46,7 @@ def carried_out_by(monkeypatch, tmp_path):
 
 @pytest.fixture
 def procedure(carried_out_by, tmp_path):
-    """Makes a procedure that runs this script."""
+    """Return a function that makes a procedure whose process runs a shell script."""
 
     def make(script):
         carried_out_by(script)
@@ -94,7 +94,7 @@ async def test_a_procedure_that_was_cut_off_does_not_keep_the_next_from_beginnin
         while not commissioning.record["shown"]:
             published.clear()
             await published.wait()
-        work.cancel()  # as when another part of the dashboard fails, which is then run again
+        work.cancel()  # as if another part of the dashboard had failed; all parts then run again
         await asyncio.wait([work])
         again = tasks.create_task(commissioning.run())
         assert await ended(commissioning, published) == {"good": False, "text": FAILED}
@@ -130,7 +130,7 @@ async def test_why_a_trace_has_ended_is_shown(carried_out_by, tmp_path, script, 
     traces = Traces(tmp_path / "socket")
     async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
         work = tasks.create_task(traces.run())
-        await asyncio.sleep(0)  # it begins
+        await asyncio.sleep(0)  # the task begins
         traces.show(page, "a")
         trace = json.loads(await page.sent.get())["trace"]
         assert trace == {"line": "a", "problem": problem}
@@ -139,10 +139,10 @@ async def test_why_a_trace_has_ended_is_shown(carried_out_by, tmp_path, script, 
 
 @contextlib.asynccontextmanager
 async def running(part):
-    """A part of a dashboard: one that fails ends all of it."""
+    """Run a part of a dashboard during the block; it must not end by itself."""
     async with asyncio.timeout(100), asyncio.TaskGroup() as tasks:
         work = tasks.create_task(part.run())
-        await asyncio.sleep(0)  # it begins
+        await asyncio.sleep(0)  # the task begins
         yield
         assert not work.done()
         work.cancel()
@@ -161,7 +161,7 @@ async def test_a_trace_that_cannot_start_gives_its_page_the_reason_and_stops_not
             trace = json.loads(await page.sent.get())["trace"]
         assert trace == {"line": "a", "problem": f"motord trace cannot be started: {NO_MORE}"}
         carried_out_by("""echo '{"error": "no line", "exit_status": 1}'""")
-        traces.show(page, "a")  # again, with free descriptors
+        traces.show(page, "a")  # a second try, with free descriptors
         assert json.loads(await page.sent.get())["trace"]["problem"] == "no line"
 
 
@@ -211,7 +211,7 @@ async def test_a_replay_that_is_cancelled_as_soon_as_it_was_requested_leaves_not
             while key in replays.found:
                 changed.clear()
                 await changed.wait()
-        replays.start(key, tmp_path / "a.mcap")  # again
+        replays.start(key, tmp_path / "a.mcap")  # a second start
         async with asyncio.timeout(20):
             while "outcome" not in replays.found[key]:
                 changed.clear()

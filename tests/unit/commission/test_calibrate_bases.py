@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which bases `motord calibrate` measures."""
+"""The bases that `motord calibrate` can measure."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dead band and speed at full duty from steady speeds."""
+"""Fit of the dead band and of the speed at full duty to steady speeds."""
 
 import random
 from pathlib import Path

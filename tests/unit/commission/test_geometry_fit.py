@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wheel radii and track from paths and what was measured at their ends."""
+"""Fit of wheel radii and track to paths and to measures at their ends."""
 
 import math
 import random
@@ -15,7 +15,7 @@ TAPE = Pose(0.001, 0.001, math.radians(0.5), 0.001)
 
 
 class Walker:
-    """A path by the present geometry: what the odometry computes when it drives legs and turns."""
+    """A path as the odometry computes it with the present geometry, for legs and turns."""
 
     def __init__(self):
         self.left, self.right = [0.0], [0.0]
@@ -43,7 +43,7 @@ class Walker:
 
 
 def measured(name, walker, keys, true=TRUE, noise=None):
-    """What a person measures with a tape, to a millimetre and half a degree."""
+    """Return a person's measure of the path's end by tape, to a millimetre and half a degree."""
     pose = end_pose(*walker.path, TRACK_M, true)
     found = {}
     for key in keys:
@@ -67,8 +67,8 @@ def whole(noise=None, true=TRUE):
 
 
 def square_error_m(believed, sign):
-    """How far from its start a square of 4 m ends. The odometry uses the geometry `believed`, the
-    base has TRUE; both are factors of the present geometry."""
+    """Return how far from its start a square of 4 m ends. The odometry uses the geometry
+    `believed`, the base has TRUE; both are factors of the present geometry."""
     walker = Walker()
     for _ in range(4):
         walker.go(4.0 / believed.left, 4.0 / believed.right)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Geometry from recordings with external poses."""
+"""Fit of the geometry to recordings with poses that an external system measured."""
 
 import math
 
@@ -23,8 +23,8 @@ SEEDS = 100
 
 
 def recorded(seed, path_m=60.0):
-    """A base that drives eights with wheels that slip, and a camera with noise of a millimetre and
-    a milliradian."""
+    """Return the columns of a recording: a base drives eights with wheels that slip, and a camera
+    measures its pose with a noise of a millimetre and a milliradian."""
     noise = np.random.default_rng(seed)
     count = round(path_m / 0.4 * RATE_HZ)
     time_s = np.arange(count + 1) / RATE_HZ
@@ -120,7 +120,7 @@ def test_a_short_log_is_refused_with_the_path_that_is_needed(tmp_path):
 
 
 def recording(file, columns, step=5):
-    """As a robot and a motion capture system write it: joint states and poses at other times."""
+    """Write every `step`-th row as a robot's joint states and a motion capture system's poses."""
     with file.open("wb") as sink, Writer(sink) as writer:
         _, _, made_of = definition("nav_msgs/msg/Odometry").partition("=" * 80)
         texts = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guided set-up, by options and by answers."""
+"""The guided set-up, with values from options and from answers."""
 
 import json
 import math

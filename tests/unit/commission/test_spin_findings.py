@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What first turns of the wheels mean."""
+"""Findings from the first turns of the wheels."""
 
 import math
 from dataclasses import replace
@@ -50,7 +50,8 @@ def test_a_wheel_that_turns_backward_changes_inverted(demo):
 
 
 def test_swapped_wheels_swap_channels_and_keep_their_directions(demo):
-    """Channel 1 turns the right wheel: forward there is backward on the left side's mount."""
+    """Channel 1 turns the right wheel, which is mounted mirrored: forward for the left wheel is
+    backward for it."""
     found = findings(
         demo,
         [
@@ -193,7 +194,7 @@ def test_a_pattern_that_fits_no_joint_is_shown_and_changes_nothing(swerve):
 
 
 def test_a_zero_follows_the_direction_that_the_file_will_have(swerve):
-    """It points to the left of straight ahead; a servo that is inverted counts the other way."""
+    """The wheel points to the left; there the count of an inverted servo is smaller."""
     name, off_counts = "front_left_steering", round(0.1 * 4096 / math.tau)
     straight = findings(swerve, [pointed(name, PATTERNS, off_rad=0.1)])
     assert straight.changes == {("joint", name, "zero_count"): 2048 - off_counts}

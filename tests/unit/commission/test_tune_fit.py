@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A wheel's model from its response to steps: the fit finds the known inertia, friction and dead
-time of the simulator's wheel, and the gains are those of the rule."""
+"""Fit of a wheel's model to its response to steps: it finds the known inertia, friction and dead
+time of the simulator's wheel, and the gains are those of the tuning rule (SIMC)."""
 
 import random
 
@@ -22,7 +22,7 @@ FULL_RAD_S = 18.0
 
 
 def ramped(peak, acceleration, hold_s):
-    """Up, hold, down, and some rest, in steps of the simulator."""
+    """Return moments in steps of the simulator, and a speed that rises, holds, falls and rests."""
     rise_s = abs(peak) / acceleration
     moments = np.arange(0.0, 2.0 * rise_s + hold_s + 0.4, SUBSTEP_S)
     knots = [0.0, rise_s, rise_s + hold_s, 2.0 * rise_s + hold_s]
@@ -30,7 +30,7 @@ def ramped(peak, acceleration, hold_s):
 
 
 def run_of(model, peak, *, dead_s=0.03, cycle_s=0.02, look_s=0.01, resolution=0.1, seed=0):
-    """A wheel that is driven by the open-loop map, and measured as a drive measures it."""
+    """Return a run of a wheel that the open-loop map drives, measured as a drive measures it."""
     wheel, chance = Wheel(model), random.Random(seed)
     moments, want = ramped(peak, 10.0, 0.8)
     duty = np.where(want == 0.0, 0.0, 0.05 * np.sign(want) + want * 0.95 / FULL_RAD_S)
@@ -55,7 +55,7 @@ def test_a_fit_finds_inertia_friction_and_dead_time(inertia_kg_m2, coulomb_n_m, 
     runs = [run_of(model, peak, dead_s=dead_s, seed=n) for n, peak in enumerate((4, 8, -4, -8))]
     found = identify("left", runs)
     stall = model.torque_max_n_m
-    # of 0.02 kg m² the time constant is two samples: it shows in the dead time as well
+    # at 0.02 kg m² the time constant is two samples: a part of it appears as dead time
     part = 0.3 if inertia_kg_m2 < 0.05 else 0.08
     assert found.acceleration_u_s2_per_rad == pytest.approx(inertia_kg_m2 / stall, rel=part)
     viscous = 1.0 / FULL_RAD_S + model.viscous_n_m_s_rad / stall
@@ -66,9 +66,9 @@ def test_a_fit_finds_inertia_friction_and_dead_time(inertia_kg_m2, coulomb_n_m, 
 
 
 def held_up_run(model, peak, *, holds=()):
-    """A wheel under a loop that gives it a torque, each measure 10 ms old. `holds`: what is held
-    up, from when to when: "tool" sees nothing meanwhile, "loop" leaves its output as it is, "line"
-    brings no set-point to the drive and no measure back."""
+    """Return a run of a wheel under a torque loop; each measure is 10 ms old. `holds`: (part,
+    begin, end) of each pause: "tool" sees nothing meanwhile, "loop" keeps its output, "line" brings
+    no set-point to the drive and no measure back."""
     wheel, integral, torque, output = Wheel(model), 0.0, 0.0, 0.0
     moments, want = ramped(peak, 10.0, 0.8)
     seen = {"time": [], "want": [], "output": [], "measured": [], "speed": []}
@@ -100,8 +100,8 @@ def held_up_run(model, peak, *, holds=()):
 @pytest.mark.parametrize("what", ["tool", "loop", "line"])
 @pytest.mark.parametrize("begin_s", [0.1, 0.3, 0.6, 1.3])
 def test_pauses_of_the_computer_do_not_distort_the_fit(what, begin_s):
-    """What a torque adds to the speed of a wheel in a moment stays: a moment that was not seen must
-    not distort the rest of the run."""
+    """Speed that a torque has added to a wheel stays: a moment that the tool has not seen must not
+    distort the rest of the run."""
     model = WheelModel()
     holds = [(what, begin_s, begin_s + 0.12), (what, begin_s + 0.35, begin_s + 0.45)]
     found = identify("left", [held_up_run(model, peak, holds=holds) for peak in (2, 4, -2, -4)])

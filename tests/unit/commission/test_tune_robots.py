@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which joints `motord tune` takes, and why it refuses the others."""
+"""The joints that `motord tune` takes, and the reasons why it refuses the others."""
 
 import pytest
 

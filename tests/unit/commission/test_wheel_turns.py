@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which twists turn one wheel of a base."""
+"""The twists that turn one wheel of a base and as few others as possible."""
 
 from pathlib import Path
 
@@ -64,7 +64,7 @@ def test_wheels_of_one_side_turn_together():
 
 @given(st.permutations(["front_left", "front_right", "rear_left", "rear_right"]))
 def test_with_swapped_motors_the_wheel_that_turns_both_times_is_the_commanded_joints(wired):
-    """`wired`: the wheel that each joint's motor turns."""
+    """`wired`: for each joint, the wheel that its motor turns."""
     rows, strafes = rows_of("mecanum4")
     wheel_of = dict(zip(rows, wired, strict=True))
     for joint in rows:
@@ -76,7 +76,7 @@ def test_with_swapped_motors_the_wheel_that_turns_both_times_is_the_commanded_jo
 
 
 def test_a_joint_without_a_place_among_the_wheels_has_no_turn():
-    """`spin` refuses it before its first question."""
+    """`spin` refuses such a joint before its first question."""
     described = {
         "joints": ["left", "right", "steering"], "strafes": False,
         "wheel_rows": {"left": (1.0, 0.0, -0.2), "right": (1.0, 0.0, 0.2)},

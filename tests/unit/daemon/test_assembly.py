@@ -37,7 +37,7 @@ def test_a_count_is_an_angle_of_the_wheel_and_its_sign_is_the_robots_forward(gea
     counts = profiles["zlac8015d"].counts_per_turn
     left, right = config["joint"]
     assert counts * gear * left["rad_per_count"] == pytest.approx(2 * math.pi, rel=1e-15)
-    assert right["rad_per_count"] == -left["rad_per_count"]  # it is inverted
+    assert right["rad_per_count"] == -left["rad_per_count"]  # the right joint is inverted
 
 
 def test_a_joints_own_encoder_and_radius_outrank_the_profile_and_the_base():
@@ -207,7 +207,7 @@ def test_limits_that_the_file_may_hold_are_limits_that_the_core_takes(values):
 
 
 def extremes():
-    """Every number of the sections that the core reads, at both ends of its range."""
+    """Yield every number of the sections that the core reads, at both ends of its range."""
     for section in ("Safety", "Odometry"):
         for name, node in DEFINITIONS[section]["properties"].items():
             if "minimum" in node:

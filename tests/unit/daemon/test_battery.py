@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Levels of a battery: with hysteresis, and unknown where nothing was measured."""
+"""Levels of a battery: they have hysteresis, and are unknown where nothing was measured."""
 
 import math
 

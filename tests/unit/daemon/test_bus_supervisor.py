@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the daemon supervises the second process, whatever that writes: with real children, most of
-which misbehave."""
+"""The daemon supervises the second process, whatever that writes: with real children, most of which
+misbehave."""
 
 import asyncio
 import contextlib
@@ -22,13 +22,13 @@ BEAT = b'{"inputs":{"pad":1}}\n'
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch):
-    """A child that floods does not read the request to end."""
+    """Shorten the wait for a child's end: a child that floods does not read the request to end."""
     monkeypatch.setattr(bus_supervisor, "END_WITHIN_S", 0.1)
 
 
 @contextlib.asynccontextmanager
 async def child(code):
-    """Supervises a child that runs this program, until the end of the block."""
+    """Supervise a child that runs this program, until the end of the block."""
     supervisor = BusSupervisor(load_robot(DEMO), Path("no.sock"))
     supervisor._command = [sys.executable, "-c", f"import os\n{code}"]
     async with asyncio.TaskGroup() as tasks:
@@ -78,7 +78,7 @@ async def test_pid_and_restarts_come_from_the_daemon():
 
 
 async def test_a_child_that_no_kill_ends_is_not_waited_for(monkeypatch):
-    """A process that the kernel holds survives a kill."""
+    """A process that waits in the kernel survives a kill until that wait ends."""
     words = (sys.executable, "-c", "import time; time.sleep(1000)")
     process = await asyncio.create_subprocess_exec(*words, stdin=asyncio.subprocess.PIPE)
     async with asyncio.timeout(DEADLINE_S):
@@ -141,8 +141,8 @@ async def test_the_child_runs_the_checked_robot_though_the_file_has_changed(tmp_
 async def test_a_child_that_ends_as_its_time_is_over_does_not_keep_the_daemon_from_ending(
     turns, monkeypatch
 ):
-    """A cancelled supervisor waits for its child. Its time is over `turns` turns of the event loop
-    after the child has ended."""
+    """A cancelled supervisor waits for its child. The limit of this wait passes `turns` turns of
+    the event loop after the child has ended."""
     monkeypatch.setattr(bus_supervisor, "END_WITHIN_S", 0.5)
     ends = f"import time; os.write(1, {BEAT!r}); os.read(0, 1); time.sleep(0.1)"
     async with asyncio.timeout(DEADLINE_S), child(ends) as supervisor:
@@ -151,7 +151,7 @@ async def test_a_child_that_ends_as_its_time_is_over_does_not_keep_the_daemon_fr
 
 
 def _in_turns(turns, call, *arguments):
-    """Calls `call` after this many turns of the event loop."""
+    """Call `call` after this many turns of the event loop."""
     if turns == 0:
         call(*arguments)
     else:

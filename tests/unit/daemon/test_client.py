@@ -32,7 +32,7 @@ METHODS = {
 
 @pytest.fixture
 def path(tmp_path):
-    """A real server in a thread of its own."""
+    """Path of the socket of a real server, which runs in a thread of its own."""
     path = tmp_path / "r2.sock"
     started, ended = threading.Event(), []
 
@@ -55,7 +55,7 @@ def path(tmp_path):
 
 @contextlib.contextmanager
 def answering(path, *replies):
-    """A server that answers each request with the next of `replies`, valid or not."""
+    """Serve each request with the next of `replies`, valid or not; yield a client of the server."""
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(str(path))
         listener.listen(1)

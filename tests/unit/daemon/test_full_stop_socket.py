@@ -21,7 +21,7 @@ def path(tmp_path):
 
 @pytest.fixture
 def loop_side(path):
-    """The socket that the real-time loop reads, with room for nothing more."""
+    """The socket that the real-time loop reads, filled with "disarm" requests."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as receiver:
         receiver.bind(str(stop_request.stop_socket(path)))
         with stop_request.open_sender() as sender:
@@ -31,7 +31,7 @@ def loop_side(path):
 
 
 def received(receiver):
-    """The kinds of all stops that wait there, the oldest first."""
+    """Read all stops that wait in the socket; return their kinds, the oldest first."""
     kinds = []
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -76,7 +76,7 @@ async def client_stop(path):
 async def test_in_asyncio_a_stop_arrives_once_the_loop_has_made_room(path, loop_side, send):
     async with asyncio.timeout(60.0), asyncio.TaskGroup() as group:
         sending = group.create_task(send(path))
-        for _ in range(3):  # it has tried by then, and waits
+        for _ in range(3):  # after these turns the first try has failed, and the sender waits
             await asyncio.sleep(0)
         assert not sending.done()
         assert set(received(loop_side)) == {"disarm"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Heartbeats: which part stands still, what is reported of it, and how often."""
+"""Heartbeats: the part that stands still, the reports about it, and how often they come."""
 
 from hypothesis import given
 from hypothesis import strategies as st

@@ -37,7 +37,7 @@ def folder():
 
 
 def shown(call, path):
-    """The error that a user without any rights sees."""
+    """Run `call` as a user without any rights; return the error that it prints."""
     return subprocess.run(
         [sys.executable, "-c", STRANGER.format(call=call), str(path)],
         capture_output=True,

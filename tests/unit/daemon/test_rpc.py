@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The local socket, over real sockets: what it answers, and what it keeps peers from doing."""
+"""The local socket, over real sockets: its answers, and what it prevents peers from doing."""
 
 import asyncio
 import contextlib
@@ -31,7 +31,7 @@ class Sum(Params):
 
 
 class Host:
-    """Methods of every kind, and a record of their calls."""
+    """A server with methods of every kind, and a record of their calls."""
 
     def __init__(self):
         self.gate = asyncio.Event()
@@ -74,7 +74,7 @@ async def hosted(path):
 
 
 class Peer:
-    """A plain client: lines in and out of the socket."""
+    """A plain client, which writes and reads lines of the socket."""
 
     def __init__(self, reader, writer):
         self.reader, self.writer = reader, writer

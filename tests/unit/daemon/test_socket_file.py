@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The file of the local socket: where it is made, whose it is, and what it may replace."""
+"""The file of the local socket: its place, its owner, and the files that it may replace."""
 
 import errno
 import socket
@@ -71,7 +71,8 @@ def test_a_socket_that_replaced_ours_is_not_removed(path):
 
 @pytest.fixture
 def folders(tmp_path):
-    """Folders of the system and of the user that cannot be made, and the last resort."""
+    """Candidates for the folder: those of the system and the user, which cannot be made, and the
+    last resort."""
     (tmp_path / "file").touch()
     (tmp_path / "tmp").mkdir()
     return [tmp_path / "file/motord", tmp_path / "run/motord", tmp_path / "tmp/motord-1"]

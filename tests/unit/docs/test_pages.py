@@ -24,7 +24,7 @@ def base_kinds():
 
 
 def anchors(page):
-    """The anchors that GitHub makes of headings."""
+    """Return the anchors that GitHub makes of a page's headings."""
     headings = re.findall(r"^#+ (.*)$", TEXT[page], re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in headings}
 

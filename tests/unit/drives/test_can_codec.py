@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CAN frames: signals at their places, compared with cantools; and bits on the wire."""
+"""CAN frames: the places of signals, compared with cantools, and the number of bits on the wire."""
 
 import math
 import struct
@@ -45,7 +45,7 @@ def places(draw):
 
 
 def as_dbc(place):
-    """The same place as a DBC file writes it: a big-endian start bit is counted in a zigzag."""
+    """Return the place as a DBC file gives it: it counts a big-endian start bit in a zigzag."""
     start = place.start_bit
     if place.big_endian:
         start = 8 * (start // 8) + 7 - start % 8
@@ -135,8 +135,8 @@ def test_an_fd_frame_is_faster_where_its_data_are():
     ("reply", "understood"),
     [
         ("4B 5A 60 00 02 00 00 00", True),
-        ("42 5A 60 00 02 00 00 00", True),  # the server does not give its size
-        ("43 5A 60 00 02 00 00 00", False),  # of four bytes: another kind of object
+        ("42 5A 60 00 02 00 00 00", True),  # without the size of the object
+        ("43 5A 60 00 02 00 00 00", False),  # the object has four bytes: another kind
         ("4B 5A 60 01 02 00 00 00", False),
     ],
 )
@@ -170,4 +170,4 @@ def test_a_warning_is_reported_again_when_it_goes_on_for_long():
     assert len(warnings.new(["no_ack", "error_passive", "protocol"], 100.0)) == 2
     assert warnings.new(["no_ack"], 100.0 + WARN_EVERY_S / 2) == []
     assert len(warnings.new(["no_ack", "no_ack"], 100.0 + WARN_EVERY_S)) == 1
-    assert warnings.new(["bus_off"], 500.0) == []  # the line is lost, which is reported anyway
+    assert warnings.new(["bus_off"], 500.0) == []  # the loss of the line has its own report

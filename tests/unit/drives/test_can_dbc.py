@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drive profiles with a DBC file: its content is used; every mistake names file and line."""
+"""Drive profiles with a DBC file: its content is used, and errors name the file and the line."""
 
 import shutil
 
@@ -20,7 +20,7 @@ DBC = (FOLDER / "dbc-example.dbc").read_text(encoding="cp1252")
 
 
 def written(folder, right="", wrong="", dbc_right="", dbc_wrong=""):
-    """The example with a part of it replaced."""
+    """Write the example with a part of the profile or DBC file replaced; return its path."""
     assert right in PROFILE
     assert dbc_right in DBC
     path = folder / "dbc-example.toml"

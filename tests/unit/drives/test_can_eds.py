@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drive profiles with an EDS file: objects are checked against it before a drive is."""
+"""Drive profiles with an EDS file: objects are checked against the file, without a drive."""
 
 import re
 import tomllib
@@ -23,7 +23,8 @@ MAPPED = {
     (0x6502, 0): "u32",
 }
 MODES = 0x1A5
-"""Profile position and velocity, torque, homing, cyclic synchronous position and velocity."""
+"""Bits in 6502h: profile position, profile velocity, homing, cyclic synchronous position and
+velocity."""
 
 
 def entry(section, kind, access, default, mapping):
@@ -34,7 +35,7 @@ def entry(section, kind, access, default, mapping):
 
 
 def sheet():
-    """What a maker delivers with a drive that has all that the profile needs."""
+    """Return the EDS file of a drive that has all that the profile needs."""
     entries = {}
     for one in tomllib.loads(PROFILE)["object"].values():
         access = "ro" if one.get("access") == "r" else "rw"
@@ -74,7 +75,7 @@ def problems(*arguments):
 
 
 def part(section):
-    """A section of the sheet."""
+    """Return a section of EDS."""
     return re.search(rf"\[{section}\]\n(?:.+\n)+", EDS)[0]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RTU frames: what is built is parsed back, and nothing else passes."""
+"""RTU frames: a built frame is parsed back, and any other is refused."""
 
 import pytest
 from hypothesis import given
@@ -57,7 +57,7 @@ REQUESTS = st.one_of(
 
 
 def test_the_check_sum_is_the_standard_s():
-    """MODBUS over Serial Line V1.02, annex B: 02 07 gives 41 12 on the wire."""
+    """According to MODBUS over Serial Line V1.02, annex B, 02 07 gives 41 12 on the wire."""
     assert seal(b"\x02\x07") == b"\x02\x07\x41\x12"
     assert crc16(b"123456789") == 0x4B37
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A robot file or drive profile that is too long, deep or odd gives short lines of errors."""
+"""A robot file or drive profile that is too long, too deep or odd gives short lines of errors."""
 
 import tomllib
 

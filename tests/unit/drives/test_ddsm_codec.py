@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ten-byte frames of DDSM motors: seals, places, and what is not answered."""
+"""Ten-byte frames of DDSM motors: check sums, places, and requests that are not answered."""
 
 import pytest
 from hypothesis import given
@@ -29,7 +29,7 @@ SPEED = register(0x6402)
 
 
 def test_the_check_sum_is_that_of_the_catalogue():
-    assert crc8(b"123456789") == 0xA1  # CRC-8/MAXIM-DOW in the CRC RevEng catalogue
+    assert crc8(b"123456789") == 0xA1  # check of CRC-8/MAXIM-DOW in the CRC RevEng catalogue
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_a_speed_is_the_frame_of_the_maker_s_table(rpm, frame):
 
 
 def test_a_mode_is_sent_without_a_check_sum_and_not_answered():
-    mode = register(0xA008, RegisterType.U16)  # the last two bytes
+    mode = register(0xA008, RegisterType.U16)  # placed in the last two bytes
     assert build_request(1, Command.MODE, {mode: 2}) == bytes((1, 0xA0, 0, 0, 0, 0, 0, 0, 0, 2))
     assert not is_answered(Command.MODE)
     assert is_answered(Command.SET)

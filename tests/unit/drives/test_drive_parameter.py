@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which registers of a drive may be read and written by a person."""
+"""The registers of a drive that a person may read and write."""
 
 import math
 from dataclasses import replace

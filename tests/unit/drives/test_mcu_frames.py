@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of boards: stuffing, check sums, cutting a stream, places of registers."""
+"""Frames of boards: stuffing, check sums, division of a stream into frames, places of registers."""
 
 import math
 import struct
@@ -164,7 +164,7 @@ ACCELERATION = st.floats(-32.0, 32.0)
 
 
 def imu_in(payload):
-    """The measures as a line reads them."""
+    """Return rates, accelerations and flags as a line reads them from a payload."""
     *counts, flags = struct.unpack("<3i3hH", payload)
     return [1e-6 * count for count in counts[:3]], [1e-3 * count for count in counts[3:]], flags
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A new drive profile from answers, as docs/drives/your-own-drive.md describes it."""
+"""A new drive profile made from a person's answers, as docs/drives/your-own-drive.md describes."""
 
 import re
 import shlex

@@ -302,7 +302,7 @@ def test_low_first_swaps_words_and_nothing_else():
     assert register(RegisterType.U32).decode((2, 1)) == 0x00020001
 
 
-# ------------------------------------------------------------------------------ what goes together
+# ------------------------------------------------------------------- keys that depend on each other
 @pytest.mark.parametrize(
     ("name", "old", "new", "message"),
     [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RoboClaw packets: what goes out, what is taken for an answer, and both sides of one codec."""
+"""RoboClaw packets: requests, what counts as an answer, and both sides of one codec."""
 
 import pytest
 from hypothesis import given
@@ -28,7 +28,7 @@ TIMEOUT = Request(UNIT, Function.READ_HOLDING, 14 << 8, count=1)
 
 
 def xmodem(data):
-    """Bit by bit, as the manual's own C does it."""
+    """Return the check sum of `data`, computed bit by bit like the manual's C program."""
     crc = 0
     for byte in data:
         crc ^= byte << 8

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packets of bus servos, against the manual's own examples, and what a cycle of servos needs."""
+"""Packets of bus servos, compared with the manual's examples, and the time of a cycle of servos."""
 
 import pytest
 from hypothesis import given
@@ -24,7 +24,7 @@ FEETECH, DYNAMIXEL = (packets_of(kind) for kind in KINDS)
 
 
 def test_the_manual_s_examples_are_built():
-    # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0: ping, read of present position, write of a goal
+    # examples of the ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0: ping, read of a position, write
     assert DYNAMIXEL.build(1, 1).hex() == "fffffd0001030001194e"
     assert DYNAMIXEL.build(1, 2, bytes((0x84, 0, 4, 0))).hex() == "fffffd0001070002840004001d15"
     goal = DYNAMIXEL.build(1, 3, bytes((0x74, 0, 0, 2, 0, 0)))
@@ -101,7 +101,8 @@ def servos(*names, baudrate=1_000_000):
 
 
 def test_the_cycle_of_three_feetech_servos_is_two_heads_and_three_shares():
-    # sync write 8 + 3 x 3, sync read 8 + 3, three statuses of 6 + 15; an eighth of an extra read
+    # bytes: sync write 8 + 3 x 3, sync read 8 + 3, three statuses of 6 + 15; an extra read in each
+    # eighth cycle
     extra = (8 + 6 + 9) / 8
     bytes_a_cycle = 8 + 9 + 8 + 3 + 3 * (21 + extra)
     assert cycle_of_all_s(servos(*["sts3215"] * 3)) == pytest.approx(bytes_a_cycle * 1e-5)

@@ -154,7 +154,8 @@ def test_an_adapter_of_python_can_s_own_gets_the_can_fd_settings():
 
 
 def test_the_bus_load_is_that_of_the_frames():
-    """At 500 kbit/s: set-points 135 bits; each drive sends 100 + 10 frames of 135 bits a second."""
+    """At 500 kbit/s: a frame of set-points has 135 bits, and each drive sends 100 + 10 frames of
+    135 bits a second."""
     _, spec = loaded()
     own, cycle_s = bus_load(spec)
     assert own == pytest.approx(2 * 110 * 135 / 500_000)

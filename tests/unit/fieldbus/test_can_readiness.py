@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is checked of a CAN interface before its bus is opened: the kernel's state, from files and
-by netlink."""
+"""Checks of a CAN interface before its bus is opened: the kernel's state, from files and by
+netlink."""
 
 import struct
 from collections import Counter
@@ -22,7 +22,7 @@ def attribute(kind, payload):
 
 
 def link_of(kind, *data):
-    """RTM_NEWLINK as the kernel answers: name, MTU and the data of a link of that kind."""
+    """Return RTM_NEWLINK as the kernel sends it: name, MTU and `data` of a link of that kind."""
     info = attribute(1, kind + b"\x00") + attribute(2 | 0x8000, b"".join(data))
     body = attribute(3, b"can0\x00") + attribute(4, struct.pack("=I", 16)) + attribute(18, info)
     head = struct.pack("=BxHiII", 0, 280, 7, 1, 0)
@@ -67,7 +67,7 @@ def test_an_interface_that_is_not_there_is_an_error_of_the_system():
 
 @pytest.fixture
 def net(tmp_path, monkeypatch):
-    """/sys/class/net with the loopback in it, which netlink has too."""
+    """Make a /sys/class/net with the loopback, which exists for netlink too; return its writer."""
     monkeypatch.setattr(interface, "NET", tmp_path)
     (tmp_path / "lo").mkdir()
 
@@ -102,7 +102,7 @@ async def test_can_fd_is_refused_where_the_interface_does_not_carry_it(net):
 async def test_bus_off_that_cannot_be_restarted_is_an_error(net, monkeypatch):
     monkeypatch.setattr(interface, "can_state", lambda channel: BUS_OFF)
     errors = Counter()
-    for refused in (1, 2):  # each time: it stays so until a person restarts it
+    for refused in (1, 2):  # again each time: only a person can restart the interface
         with pytest.raises(PortError, match=r"bus-off.*not restarted.*type can restart"):
             await ready(errors)
         assert errors == {"restart_refused": refused}

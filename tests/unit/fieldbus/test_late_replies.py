@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which bytes are the answer to a request that has timed out."""
+"""Recognition of bytes that are the answer to a request that has timed out."""
 
 import pytest
 

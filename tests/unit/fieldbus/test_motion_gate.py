@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much motion waits in the kernel for a CAN bus that may be dead."""
+"""The gate that limits how much motion waits in the kernel for a CAN bus that may be dead."""
 
 import pytest
 
@@ -14,7 +14,7 @@ def gate():
 
 
 def cycle(gate, at_s, handed, moving=True):
-    """Frames that the bus took (+) or refused (-)."""
+    """Run a cycle; `handed`: frames that the bus takes (+) or refuses (-)."""
     for one in handed:
         gate.handed(taken=one == "+")
     gate.cycle_ended(at_s, moving=moving)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which position of a drive, in its own numbers, is the angle 0."""
+"""The position of a drive, in its own numbers, that is the angle 0."""
 
 import pytest
 from tests.shipped import shipped_profile
@@ -13,7 +13,7 @@ from motord_hal.rt_engine.decoding import raw_offset
     [
         ("cia402-csp", 2500, 2500),
         ("cia402-csp", -2500, -2500),
-        ("cia402-csp", (1 << 32) - 2500, -2500),  # the same position in a counter of 32 bits
+        ("cia402-csp", (1 << 32) - 2500, -2500),  # as -2500 in a counter of 32 bits
         ("odrive-0.6-position", 4096, 0.5),
         ("odrive-0.6-position", -2048, -0.25),
         ("odrive-0.6-position", (1 << 32) - 2048, -0.25),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The real-time line's table gives what the plan of the asyncio engine computes."""
+"""The table of a real-time line has the same result as the plan of the asyncio engine."""
 
 import math
 from dataclasses import replace
@@ -26,10 +26,10 @@ from motord_hal.rt_engine.rs485.table import drive_table, line_table
 
 MODBUS = [name for name in NAMES if shipped_profile(name).protocol == "modbus-rtu"]
 NOT_POSITIONS = [name for name in MODBUS if not shipped_profile(name).goes_to_positions]
-"""The plan writes no positions: the asyncio engine has none."""
+"""Profiles of Modbus drives without positions: the asyncio engine, and so the plan, writes none."""
 NUMBERS = st.one_of(
     st.floats(-500, 500),
-    st.floats(-1e6, 1e6),  # the core lets nothing out that is beyond a wheel's limit
+    st.floats(-1e6, 1e6),  # more than the core ever sends: it stays within a wheel's limit
     st.sampled_from([math.nan, math.inf, -math.inf, 0.0]),
 )
 
@@ -71,7 +71,7 @@ def table_of(profile, **changes):
     return frames.plan, drive_table(frames, spec)
 
 
-# What csrc/api/line/api_line.h defines of set-points and fields, once more in Python.
+# Set-points and fields as csrc/api/line/api_line.h defines them, here in Python.
 def put(exchange, wanted):
     request = bytearray(exchange.frame.request)
     for setpoint in exchange.setpoint:
@@ -140,7 +140,7 @@ def test_what_comes_in_is_what_the_plan_reads(name, data):
 
 
 def _reading(plan, drive):
-    """Exchanges that read, with the range that each reads."""
+    """Yield the exchanges that read, with the range that each reads."""
     spans = {span.request(plan.unit).address: span for span in (*plan.fast, *plan.extra)}
     for exchange in (*drive.cyclic, *drive.extra):
         request = parse_request(exchange.frame.request)
@@ -185,7 +185,7 @@ def test_the_table_has_the_enabled_field_and_the_kept_registers():
     first = drive.extra[0].field
     assert [f.equals for f in first if f.kind is FieldKind.ENABLED] == [8]
     kept = [f for e in drive.extra for f in e.field if f.kind is FieldKind.KEPT]
-    assert {f.equals for f in kept} >= {3, 500}  # the mode; the watchdog in ms
+    assert {f.equals for f in kept} >= {3, 500}  # the mode, and the watchdog in ms
 
 
 def test_a_counter_has_no_sign_and_no_more_bits_than_the_drive_counts():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A RoboClaw in the table of its line: packets, and what their answers look like."""
+"""A RoboClaw in the table of its line: packets, and the form of their answers."""
 
 import pytest
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A serial port: found, opened exclusively, set up; the structs that the kernel reads."""
+"""A serial port is found, opened exclusively and set up; the structs that the kernel reads."""
 
 import fcntl
 import math
@@ -51,7 +51,7 @@ def pty_path():
 
 @pytest.fixture
 def plug(monkeypatch):
-    """Plugs adapters in, as pyserial sees them."""
+    """Return a function that adds an adapter to pyserial's list and returns its removal."""
     there = []
     monkeypatch.setattr(list_ports, "comports", lambda: [ListPortInfo("/dev/ttyS0"), *there])
 

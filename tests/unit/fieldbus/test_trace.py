@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From entries of a trace to exchanges, text and files; and when a trace is switched off."""
+"""Conversion of a trace's entries to exchanges, text and files; and the end of a trace."""
 
 import asyncio
 import struct
@@ -174,7 +174,7 @@ def test_a_short_frame_of_a_board_shows_the_values_that_it_has():
 
 def test_text_of_a_board_that_fits_no_template_is_shown_as_it_is():
     decoder = decoder_of("arduino-text")
-    decoded(decoder, received=b"\n")  # what came before may be half a line
+    decoded(decoder, received=b"\n")  # bytes before it may be half a line: not decoded
     assert decoded(decoder, received=b"hello\n").what == "hello"
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two reports side by side."""
+"""Comparison of two latency reports."""
 
 import copy
 import json

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What cyclictest prints, and how it is started."""
+"""The output of cyclictest, and its command line."""
 
 import asyncio
 import shutil
@@ -124,7 +124,7 @@ async def test_a_refused_cyclictest_gives_its_own_error_as_the_note(monkeypatch,
 
 @pytest.mark.skipif(shutil.which("cyclictest") is None, reason="cyclictest is not installed")
 async def test_cyclictest_is_ended_early_with_what_it_counted():
-    """A busy machine starts it late: the test waits longer until it has counted something."""
+    """A busy machine starts cyclictest late: the test waits longer until there is a count."""
     for after_s in (0.2, 1.0, 5.0):
         async with beside(1000.0, 600.0, 80, ()) as cyclictest:
             await asyncio.sleep(after_s)

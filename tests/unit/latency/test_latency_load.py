@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The load works while its block runs, and is gone afterwards."""
+"""The load of `motord latency` works while its block runs, and is gone afterwards."""
 
 import os
 import signal
@@ -27,7 +27,7 @@ with load("cpu"):
 
 
 def burners(parent_pid=None):
-    """Process numbers of the burners of a process, found as `ps` finds them."""
+    """Return the process numbers of a process's burners, found as `ps` finds them."""
     wanted = str(os.getpid() if parent_pid is None else parent_pid)
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):

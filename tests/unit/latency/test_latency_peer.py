@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The other end of a measurement: sends commands, stamps what comes back."""
+"""The peer, the other end of a measurement: it sends commands and stamps the answers."""
 
 import os
 import socket

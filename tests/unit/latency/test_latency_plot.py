@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of a run, from made-up runs."""
+"""The picture of a latency run, drawn from made-up runs."""
 
 import dataclasses
 import functools
@@ -31,7 +31,8 @@ def _drawing():
 
 
 def matplotlib(name):
-    """Imported when a test of this file runs, and not by each process that collects them all."""
+    """Return a module of matplotlib; it is imported only when a test of this file runs, and not by
+    each process that collects all tests."""
     return pytest.importorskip(f"matplotlib.{name}", reason="needs matplotlib")
 
 
@@ -54,7 +55,7 @@ def made_up(*, cyclictest=True, timeline=True, overruns=0):
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
-    """The picture of a made-up run; each is drawn once, as drawing takes long."""
+    """Return a function that draws a made-up run; each is drawn once, as drawing takes long."""
 
     @functools.cache
     def picture(**kwargs):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The culprit of late ticks, from records that a kernel could have written."""
+"""The cause of late ticks, from records that a kernel could have written."""
 
 import struct
 
@@ -16,7 +16,7 @@ MISC_SWITCH_OUT = 1 << 13
 
 
 def record(kind, body, *, thread, time_ns, cpu=CPU, misc=0):
-    """As perf_event_open(2) lays it out, with sample_id of TID, TIME and CPU."""
+    """Return a record in the layout of perf_event_open(2), with sample_id of TID, TIME and CPU."""
     data = body + struct.pack("=IIQII", thread, thread, time_ns, cpu, 0)
     return struct.pack("=IHH", kind, misc, 8 + len(data)) + data
 
@@ -193,7 +193,7 @@ def test_counters_are_read_as_the_kernel_writes_them(tmp_path):
     assert found["frequency", 1, ""] == 12
     thread = Threads(tmp_path).look(7)
     assert (thread.name, thread.process, thread.of_kernel) == ("my (hog)", 6, True)
-    # fields 10, 12, 40 and 41 of proc(5)
+    # fields 10, 12, 40 and 41 of /proc/PID/stat: proc(5)
     assert thread.first[1] == 10 + 12
     assert (thread.priority, thread.policy) == (40, "policy 41")
 

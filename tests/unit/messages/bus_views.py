@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Views of a robot at rest, for tests of the messages that are made of them."""
+"""Views of a robot, at rest or with random data, for tests of the messages made from them."""
 
 import dataclasses
 import math
@@ -15,14 +15,14 @@ BODY = Body(robot="r2", joints=("left", "right"))
 
 
 def as_object(value):
-    """A message's dictionary with its fields as attributes."""
+    """Return a message's dictionary as an object with the fields as attributes."""
     if isinstance(value, dict):
         return SimpleNamespace(**{key: as_object(part) for key, part in value.items()})
     return [as_object(part) for part in value] if isinstance(value, list) else value
 
 
 def message(name, one, body, offset_ns):
-    """The message of that topic as an object, or None."""
+    """Return a topic's message as an object, or None if the view `one` gives no message."""
     return as_object(as_message(TOPICS[name], body)(one, offset_ns))
 
 
@@ -76,7 +76,7 @@ def any_joint(rng):
 
 
 def any_imu(rng):
-    """Data of a sensor that usually measures everything."""
+    """Return random data of a sensor that usually measures everything, or None."""
     if rng.random() < 0.1:
         return None
     vectors = ("angular_rad_s", "acceleration_m_s2")
@@ -95,7 +95,7 @@ def seldom_odd(rng):
 
 
 def any_battery(rng):
-    """As the daemon's status has it, or None without a battery."""
+    """Return a random battery in the form of the daemon's status, or None without one."""
     if rng.random() < 0.2:
         return None
     numbers = {
@@ -107,7 +107,7 @@ def any_battery(rng):
 
 
 def any_loop(rng):
-    """As the daemon's status has it."""
+    """Return random figures of the loop in the form of the daemon's status."""
     percentiles = ("p50", "p99", "p99_9", "max")
     return {
         "rate_hz": any_number(rng), "policy": rng.choice(("SCHED_FIFO", "SCHED_OTHER", "")),

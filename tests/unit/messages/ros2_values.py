@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Any message of a type, and whether two are the same."""
+"""Random messages of a type, and the comparison of two messages."""
 
 import math
 import struct
@@ -14,7 +14,7 @@ _TEXTS = ("", "a", "odom", "base_link", "Räder: 2 × 0,1 m", "x" * 57)
 
 
 def any_message(rng, name):
-    """A message of any lengths; numbers may be NaN and infinity."""
+    """Return a random message with sequences of any length; numbers may be NaN and infinity."""
     return SimpleNamespace(**{field.name: _any_field(rng, field) for field in TYPES[name]})
 
 
@@ -44,7 +44,7 @@ def _any_value(rng, kind):
 
 
 def same(one, other):
-    """Whether both are equal; NaN equals NaN."""
+    """Return whether both are equal; NaN equals NaN."""
     if isinstance(one, SimpleNamespace):
         return vars(one).keys() == vars(other).keys() and all(
             same(value, getattr(other, key)) for key, value in vars(one).items()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wheel radius and track from a distance that a person has measured."""
+"""Calibration of wheel radius and track with a distance that a person has measured."""
 
 import math
 
@@ -22,7 +22,7 @@ def begun(quantity, true_u, timeout_s=0.0):
 
 
 def pushed(calibration, moves, rest_s=REST_S):
-    """Moves to each pose, 20 ms after the one before, and then rests."""
+    """Move to a pose every 20 ms, then rest; return the last step of the calibration."""
     at_ms, found = 0, None
     for pose in moves:
         at_ms += 20

@@ -14,7 +14,7 @@ from motord.bus.messages.topics import TOPICS, View
 
 OFFSET_NS = 1_700_000_000_000_000_000
 OFFSETS_NS = (OFFSET_NS, OFFSET_NS, OFFSET_NS - 1, -1)
-"""Within a second, across its end, and before 1970."""
+"""Offsets of the clock for stamps within a second, across its end, and before 1970."""
 ROUNDS = 150
 
 
@@ -27,7 +27,7 @@ def outcome(encode, one, offset_ns):
 
 @pytest.mark.parametrize("name", sorted(TOPICS))
 def test_compiled_encoders_write_the_message_byte_for_byte(name):
-    """Several views one after the other: what is kept from one must not show in the next."""
+    """Several views in sequence: data that an encoder keeps of one must not appear in the next."""
     topic, rng = TOPICS[name], random.Random(name)
     compared = 0
     for _ in range(ROUNDS):

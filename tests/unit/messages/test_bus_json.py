@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JSON holds what the message holds: fast or slow, with msgspec or without."""
+"""JSON holds the same values as the message, with the fast encoder (msgspec) and the slow one."""
 
 import json
 import random
@@ -26,7 +26,7 @@ def _with_and_without_msgspec(request, monkeypatch):
 @pytest.mark.usefixtures("_with_and_without_msgspec")
 @pytest.mark.parametrize("name", sorted(TOPICS))
 def test_the_json_holds_what_the_message_holds(name):
-    """Several views one after the other: what is kept from one must not show in the next."""
+    """Several views in sequence: data that an encoder keeps of one must not appear in the next."""
     topic, rng = TOPICS[name], random.Random(name)
     compared = 0
     for _ in range(ROUNDS):

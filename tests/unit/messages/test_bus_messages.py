@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages hold what the snapshot holds: units, frames, stamps, and only what was measured."""
+"""Messages hold the snapshot's values: units, frames, stamps, and only what was measured."""
 
 import dataclasses
 import math

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A motion over a given distance: what it requests, and when and why it ends."""
+"""A motion over a given distance: the speeds that it requests, and when and why it ends."""
 
 import dataclasses
 import math
@@ -22,7 +22,7 @@ def state(at_ms, **changes):
 
 
 class Base:
-    """Follows commands as the core does: ramps within the limits, so many steps late."""
+    """A base that follows commands like the core: by ramps, `late_steps` steps late."""
 
     def __init__(self, axis, bounds, late_steps):
         self.axis, self.bounds = axis, bounds
@@ -60,7 +60,7 @@ def begun(goal, bounds=BOUNDS, late_steps=2):
 
 
 def looked(base, motion):
-    """A step with the daemon's present count of stops."""
+    """Pass the present count of stops to the motion; return its next step."""
     motion.counted(base.stops, base.at_ms * 1_000_000)
     return motion.step(base.snapshot(), base.at_ms * 1_000_000)
 
@@ -130,7 +130,7 @@ def test_an_invalid_goal_is_refused(wrong):
 
 
 def moving():
-    """A motion at full speed."""
+    """Return a base and its motion at full speed."""
     base, motion = begun(Goal(axis="linear", distance_u=5.0))
     while base.speed_u_s < BOUNDS.velocity_u_s:
         base.follow(looked(base, motion))
@@ -246,7 +246,8 @@ def test_a_base_that_slips_by_a_little_goes_the_rest_of_the_distance(slip_u):
 
 
 def rested_beside_its_goal():
-    """It passed its goal: its wheels slid, or a stop was not seen."""
+    """Return a base that rests beyond its goal (its wheels slid, or a stop was not seen), and its
+    motion."""
     base, motion = begun(Goal(axis="linear", distance_u=1.0))
     while motion.remaining_u > 0.004:
         base.follow(looked(base, motion))

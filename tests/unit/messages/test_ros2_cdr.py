@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CDR, byte by byte as two other encoders write it."""
+"""CDR, compared byte by byte with two other encoders."""
 
 import random
 from types import SimpleNamespace
@@ -16,7 +16,8 @@ ROUNDS = 20
 
 
 def as_a_message(text):
-    """rosbags has messages alone; the bytes of parts of services and actions have no names."""
+    """Return a type's name as that of a message: rosbags knows no others. Parts of services and
+    actions have the same bytes, which contain no names."""
     return text.replace("/srv/", "/msg/").replace("/action/", "/msg/")
 
 

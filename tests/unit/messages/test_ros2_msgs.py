@@ -32,7 +32,7 @@ def package(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def known(package):
-    """All types of Jazzy, and those of the files."""
+    """A store of all types of Jazzy, and of those in the package's files."""
     store = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
     for path in package.glob("msg/*.msg"):
         name = f"motord_msgs/msg/{path.stem}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ~/get_type_description answers for every type that there is, without a network."""
+"""Answers of ~/get_type_description for every type, without a network."""
 
 import hashlib
 import json
@@ -13,7 +13,7 @@ from motord.bus.ros2.services.type_description import SERVICE, serve_types
 
 
 class Served:
-    """A node that has these types, and what it serves."""
+    """A node that has these types and serves their descriptions."""
 
     def __init__(self, *types):
         self.types = set(types)
@@ -24,7 +24,7 @@ class Served:
         self._answer = answer
 
     async def ask(self, kind, sources=True):
-        """The answer, encoded and decoded again."""
+        """Return the answer, encoded and decoded again."""
         request = SimpleNamespace(
             type_name="", type_hash=type_hash(kind), include_type_sources=sources
         )

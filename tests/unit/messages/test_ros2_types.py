@@ -13,7 +13,7 @@ from motord.bus.messages.topics import TOPICS
 
 rosbags = pytest.importorskip("rosbags.typesys", reason="needs rosbags")
 
-# As `ros2 topic info -v` shows them.
+# Hashes as `ros2 topic info -v` shows them.
 SEEN = {
     "std_msgs/msg/String": "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
     "geometry_msgs/msg/Twist": "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
@@ -40,7 +40,7 @@ SEEN_OF_FIBONACCI = {
     "FeedbackMessage": "c1de71afd52e49a89c53d8262366884185bc0a02f78ce051c4e46b0a7fe59bb2",
 }
 STORE = rosbags.get_typestore(rosbags.Stores.ROS2_JAZZY)
-# The other implementation counts `char` as a type of its own, rosidl as uint8.
+# In rosbags' hashes `char` is a type of its own; in rosidl's it is uint8.
 WITH_CHAR = ("rmw_dds_common", "service_msgs")
 COMPARED = sorted(
     name for name in TYPES if name in STORE.fielddefs and not name.startswith(WITH_CHAR)

@@ -19,7 +19,7 @@ DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
 DEADLINE_S = 20.0
 WAITED_S = 0.2
 HEAD = struct.Struct("<IHH16sQqIIdd")
-"""The layout of a command: docs/commands.md."""
+"""The layout of a command, from docs/commands.md."""
 
 
 async def test_a_message_that_waited_keeps_the_time_of_its_arrival(tmp_path):

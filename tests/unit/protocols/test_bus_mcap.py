@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings: what other programs read in them, and what a full disk does."""
+"""Recordings: their content as other programs read it, and a full disk."""
 
 import asyncio
 import contextlib
@@ -48,7 +48,7 @@ class Stage:
         return sorted(self.folder.glob("*.mcap"))
 
     async def until(self, condition, status=None, **changes):
-        """Feed it until the condition holds."""
+        """Feed views to the recorder until the condition holds."""
         async with asyncio.timeout(DEADLINE_S):
             while not condition():
                 self.runtime.view = view(time.monotonic_ns() // MS, status, **changes)
@@ -67,7 +67,8 @@ async def recording(folder, **settings):
 
 
 def read(path):
-    """What was fed; the description of the robot comes first."""
+    """Return the recorded messages: (topic, schema, time, message); check that the description of
+    the robot comes first."""
     with path.open("rb") as file:
         first, *rows = [
             (channel.topic, schema.name, message.log_time, decoded)
@@ -214,7 +215,7 @@ async def test_rosbags_reads_the_odometry_of_a_recording(tmp_path):
 
 
 def qualities(path):
-    """By topic: the quality with which rosbag2 would offer it, as another library reads it."""
+    """Return the quality with which rosbag2 would offer each topic, as another library reads it."""
     with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         found = {one.topic: one.ext.offered_qos_profiles for one in reader.connections}
     assert {len(profiles) for profiles in found.values()} == {1}
@@ -235,7 +236,8 @@ async def test_what_was_latched_is_latched_again_when_it_is_played(tmp_path):
 
 
 async def test_qualities_and_types_are_written_as_rosbag2_reads_them(tmp_path):
-    """As numbers: Humble reads no names; Jazzy expects names unless a record gives the version."""
+    """Qualities are numbers: Humble cannot read names; Jazzy expects names unless a record gives
+    the version."""
     async with recording(tmp_path) as stage:
         await stage.until(lambda: stage.files() and stage.feed.taken > 20, status=STATUS)
     (path,) = stage.files()
@@ -377,7 +379,7 @@ async def test_a_recorder_that_is_stopped_as_soon_as_it_was_started_does_not_rec
     made = recorder("tape", section, runtime)
     async with asyncio.TaskGroup() as tasks:
         task = tasks.create_task(made.run())
-        await asyncio.sleep(0)  # it begins
+        await asyncio.sleep(0)  # the task begins
         made.start()
         made.stop()
         for _ in range(10):

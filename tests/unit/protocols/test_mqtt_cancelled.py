@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A cancellation that aiomqtt drops still ends what motord-bus does with the broker."""
+"""A cancellation that aiomqtt drops still ends the task of motord-bus with the broker."""
 
 import asyncio
 
@@ -9,7 +9,7 @@ DEADLINE_S = 20.0
 
 
 async def answered(answer):
-    """As asyncio.wait_for before Python 3.12: an answer that is there outranks a cancellation."""
+    """Wait like asyncio.wait_for before Python 3.12, which drops a cancellation after an answer."""
     try:
         await answer
     except asyncio.CancelledError:

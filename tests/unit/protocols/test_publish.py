@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Publishers: what arrives, at which rate, and that a bad reader costs snapshots alone."""
+"""Publishers: the data that arrives, its rate, and readers that fail: only snapshots are lost."""
 
 import asyncio
 import contextlib
@@ -118,7 +118,8 @@ def test_another_package_may_offer_a_kind(tmp_path, monkeypatch):
 
 
 async def feeding(feed, publisher, until):
-    """Offer snapshots as the daemon does until the condition holds; returns the slowest turn."""
+    """Offer snapshots like the daemon until the condition holds; return the time of the slowest
+    turn of the event loop in seconds."""
     slowest_s, at_ms = 0.0, 1
     async with asyncio.timeout(DEADLINE_S), asyncio.TaskGroup() as tasks:
         running = tasks.create_task(publisher.run(feed))
@@ -195,7 +196,7 @@ async def test_a_reader_that_stops_reading_loses_snapshots_and_blocks_nothing(pi
     assert slowest_s < DEADLINE_S / 2
     assert feed.taken > publisher.dropped
     os.set_blocking(reading.fileno(), False)
-    while publisher._lines.qsize():  # the thread ends before the pipe is closed
+    while publisher._lines.qsize():  # so that the thread ends before the pipe is closed
         with contextlib.suppress(BlockingIOError):
             os.read(reading.fileno(), 65536)
 

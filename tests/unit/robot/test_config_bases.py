@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bases in the robot file: rows and modules as the textbook has them, and what is refused."""
+"""Bases in the robot file: rows and modules as in the textbook, and mistakes that are refused."""
 
 import math
 from pathlib import Path
@@ -119,7 +119,7 @@ cycle_hz = 20
 
 
 def module(number, where):
-    """A wheel on two bus servos."""
+    """Return the tables of a wheel on two bus servos."""
     return f"""
 [joint.drive{number}]
 line = "servos"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[joint.NAME.derating]: complete pairs in the right order, of what the drive reports."""
+"""[joint.NAME.derating]: pairs are complete, in order, and of a value that the drive reports."""
 
 from pathlib import Path
 

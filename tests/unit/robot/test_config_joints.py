@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Robot files without a base: what works, and what is refused with its line."""
+"""Robot files without a base: those that work, and mistakes that are refused with their line."""
 
 from pathlib import Path
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[joint.NAME.speed_loop]: what must hold between it and the drive of its joint."""
+"""[joint.NAME.speed_loop]: rules between it and the drive of its joint."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ ROBOTS = Path(__file__).resolve().parents[3] / "config/robots"
 
 
 def errors(tmp_path, robot, old, new):
-    """What is wrong with a shipped robot file in which a piece of text is replaced."""
+    """Return the errors of a shipped robot file in which `old` is replaced by `new`."""
     text = (ROBOTS / f"{robot}.toml").read_text(encoding="utf-8")
     assert old in text
     path = tmp_path / "robot.toml"

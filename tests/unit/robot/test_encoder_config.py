@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[joint.NAME.encoder] in a robot file: what it may contain, and what core and line get."""
+"""[joint.NAME.encoder] in a robot file: its allowed content, and the values for core and line."""
 
 import math
 from pathlib import Path

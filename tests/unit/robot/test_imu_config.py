@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""[imu] in a robot file: what it may contain, and what core and line get."""
+"""[imu] in a robot file: its allowed content, and the values for core and line."""
 
 from pathlib import Path
 

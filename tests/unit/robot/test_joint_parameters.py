@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits of joints without a base as parameters: each has its own, within what its file allows."""
+"""Limits of joints without a base as parameters: each has its own, in the range of its file."""
 
 import math
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the drives of a line need of its wire, and what is reported when it is too much."""
+"""The time that the drives of a line need on its wire, and the report when it is too long."""
 
 import re
 from dataclasses import replace
@@ -18,7 +18,7 @@ GAP_S = 1.75e-3
 
 
 def bare(spec):
-    """The same line with nothing read but what is read in each cycle."""
+    """Return the line without the registers that are not read in each cycle."""
     joints = []
     for joint in spec.joints:
         profile = joint.profile
@@ -39,8 +39,8 @@ def spec():
     return bare(line_specs(robot, {"zlac8015d": robot.profiles["zlac8015d"]})[0])
 
 
-# By hand: both set-points in 13 bytes, answered by 8; 20A5h to 20ACh in 8, answered by 21; one
-# acyclic register in 8, answered by 7. Two gaps each.
+# Computed by hand: both set-points take 13 bytes and an answer of 8; 20A5h to 20ACh 8 and 21; one
+# acyclic register 8 and 7. Each exchange has two gaps.
 WRITE_S = 21 * CHARACTER_S + 2 * GAP_S
 READ_S = 29 * CHARACTER_S + 2 * GAP_S
 SLOT_S = 15 * CHARACTER_S + 2 * GAP_S
@@ -63,7 +63,7 @@ def test_each_drive_counts_at_its_own_rate(spec):
 
 def test_what_helps_is_computed_for_this_line(spec):
     gap_s = 3.5 * CHARACTER_S
-    both_s = (13 + 4 + 21) * CHARACTER_S + 2 * GAP_S  # function 23: 17 bytes, answered by 21
+    both_s = (13 + 4 + 21) * CHARACTER_S + 2 * GAP_S  # function 23: 17 bytes, an answer of 21
     help_wanted = dict(helps(replace(spec, cycle_hz=100.0)))
     assert help_wanted == {
         "function 23 where the drives have it": pytest.approx(1 / (both_s + SLOT_S)),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lines of a robot file: kinds, engines, transceivers, and what the hardware layer gets."""
+"""The lines of a robot file: kinds, engines, transceivers, and values for the hardware layer."""
 
 from pathlib import Path
 

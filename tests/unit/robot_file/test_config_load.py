@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading a robot file: what is right becomes values, what is wrong becomes lines of errors."""
+"""Reading a robot file: it becomes values, and each mistake in it a line of the errors."""
 
 import math
 import re
@@ -39,7 +39,7 @@ inverted = true
 
 @pytest.fixture
 def problems_of(tmp_path):
-    """The rows that a text gives, without the file's name."""
+    """Return a function that gives the errors of a robot file's text, without the file's name."""
 
     def read(text, overrides=()):
         path = tmp_path / "robot.toml"
@@ -271,7 +271,7 @@ def test_junk_in_a_line_is_refused_in_that_line_or_is_a_finite_number(tmp_path_f
     robot, problems = try_to_load(path)
     assert all(row.file == str(path) and 1 <= row.line <= len(lines) for row in problems)
     if robot is None:
-        between = ("safety.", "joint.", "limits", "line.")  # rules between values
+        between = ("safety.", "joint.", "limits", "line.")  # keys of rules between several values
         assert any(row.line == line or row.key.startswith(between) for row in problems)
         return
     assert min(robot.limits.linear_m_s3, robot.limits.angular_rad_s3) > 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must hold between the values of a robot file, and between it and its drives."""
+"""Rules between the values of a robot file, and between the file and its drives."""
 
 import re
 from pathlib import Path
@@ -14,7 +14,8 @@ ROBOTS = Path(__file__).resolve().parents[3] / "config/robots"
 
 
 def edited(tmp_path, robot, *edits):
-    """A copy of a shipped robot file with pieces of text replaced, each at its first place."""
+    """Write a copy of a shipped robot file with these (old, new) pieces of text replaced, each at
+    its first place; return its path."""
     text = (ROBOTS / f"{robot}.toml").read_text(encoding="utf-8")
     for old, new in edits:
         assert old in text

@@ -33,7 +33,7 @@ SCHEMAS = {"robot": robot_schema, "drive": drive_schema}
 
 
 def numbers():
-    """(name, schema) of every number of the robot file."""
+    """Yield (name, schema) of every number of the robot file."""
     for section in robot_schema()["$defs"].values():
         for name, node in section["properties"].items():
             inner = next((part for part in node.get("anyOf", ()) if part.get("type") != "null"), {})

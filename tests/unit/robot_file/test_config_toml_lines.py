@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The line of every key, against documents whose numbers are the lines that they stand on."""
+"""The line of every key, tested on documents in which each number is the number of its own line."""
 
 import json
 import tomllib
@@ -14,7 +14,7 @@ KEYS = st.one_of(
     st.text(st.characters(codec="utf-8", exclude_categories=("C",)), max_size=4),
 )
 TEXTS = st.text(st.sampled_from("ab \"'#[]{}=,.\\\n\té"), max_size=8)
-LEAVES = st.one_of(st.none(), TEXTS)  # None: the number of the line
+LEAVES = st.one_of(st.none(), TEXTS)  # None: Writer writes the number of the line
 VALUES = st.recursive(
     LEAVES,
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(KEYS, inner, max_size=3),
@@ -73,7 +73,7 @@ class Writer:
             self.write(self.scalar(value))
 
     def pairs(self, table, prefix=()):
-        """The pairs of a table; returns what is to get a header of its own."""
+        """Write the pairs of a table; return those that have to get a header of their own."""
         later = []
         for name, value in table.items():
             tables = isinstance(value, list) and value and all(isinstance(x, dict) for x in value)
@@ -97,7 +97,7 @@ class Writer:
 
 
 def leaves(value, path=()):
-    """Every path, with the value where it is a leaf."""
+    """Yield every path in `value`, with the value at it."""
     if path:
         yield path, value
     if isinstance(value, dict | list):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes that people make in a robot file, and the sentence that helps."""
+"""Mistakes that people make in a robot file, and the sentence of the error that helps."""
 
 import pytest
 

@@ -136,7 +136,7 @@ INTEGRAL = (*GAIN[:-1], "integral_per_rad")
 
 
 def spelled(file, layout):
-    """The joint on the right, spelled otherwise: it means the same."""
+    """Rewrite the table of the joint on the right in another form with the same meaning."""
     text = file.read_text("utf-8")
     start = text.index("[joint.right]")
     rows, rest = [], text[start:].splitlines()[1:]
@@ -167,7 +167,7 @@ def test_a_key_that_cannot_be_put_where_it_belongs_is_an_error_and_changes_nothi
     with pytest.raises(EditError, match=r"limits.linear_m_s.a: .* by hand"):
         edit.set(("limits", "linear_m_s", "a"), 1.0)
     assert edit.text == before
-    edit.set(("base", "track_m"), 0.5)  # it goes on
+    edit.set(("base", "track_m"), 0.5)  # the edit can be continued
     assert edit.get(("base", "track_m")) == 0.5
 
 
@@ -177,7 +177,7 @@ def test_a_new_file_does_not_replace_another(file):
 
 
 def in_force(file, **changes):
-    """What params.get answers for a base that does not move sideways."""
+    """Return the answer of params.get for a base that does not move sideways."""
     limits = vars(load_robot(file).limits) | changes
     return {f"limits.{name}": value for name, value in limits.items() if name not in LATERAL_KEYS}
 

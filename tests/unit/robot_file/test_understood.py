@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `motord check` prints that it has understood of a robot file."""
+"""The summary of a robot file that `motord check` prints, as the program understands it."""
 
 import math
 from pathlib import Path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A child reads the robot file, and finds what pydantic finds in this process."""
+"""A child process reads the robot file, with the same result as pydantic in this process."""
 
 import json
 import pickle

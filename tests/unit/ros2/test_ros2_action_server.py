@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An action's server: which goals it takes, which it cancels, what it reports of them."""
+"""An action's server: the goals that it takes and cancels, and its reports about them."""
 
 import asyncio
 import contextlib
@@ -16,7 +16,7 @@ NO_ID, NOW = bytes(16), 0
 
 
 class Node:
-    """What was served and published, each message as it would travel."""
+    """A node that keeps what is served and published; it encodes each message as for the wire."""
 
     def __init__(self):
         self.answers, self.sent = {}, []
@@ -42,7 +42,7 @@ class Node:
 
 
 class Bench:
-    """A server whose goals last until they are released or cancelled."""
+    """A server whose goals last until `go` is set or they are cancelled."""
 
     def __init__(self, name="drive_distance", turn=None):
         self.node, self.go, self.turn = Node(), asyncio.Event(), turn or Turn()
@@ -123,7 +123,7 @@ async def test_servers_that_take_turns_run_one_goal_at_a_time():
         one.go.set()
         await one.result(number(1))
         assert (await other.send(number(3))).accepted
-        assert not (await one.send(number(1))).accepted  # known already
+        assert not (await one.send(number(1))).accepted  # the number is already in use
         other.go.set()
         await other.result(number(3))
 
@@ -145,7 +145,7 @@ async def test_a_goal_is_cancelled_by_its_number_by_time_or_with_all_others():
         assert await bench.cancel(number(1)) == (2, [])
         for value, how in ((1, {"number": number(1)}), (2, {"stamp_ns": 1 << 62}), (3, {})):
             assert (await bench.send(number(value))).accepted
-            assert await bench.cancel(stamp_ns=1) == (0, [])  # none is so old
+            assert await bench.cancel(stamp_ns=1) == (0, [])  # no goal is so old
             assert await bench.cancel(number(99)) == (2, [])
             assert await bench.cancel(**how) == (0, [number(value)])
             assert await bench.result(number(value)) == Status.CANCELED

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long a message waited, by the clock of its sender."""
+"""The time that a message waited, computed from stamps of its sender's clock."""
 
 import pytest
 from hypothesis import given
@@ -13,7 +13,7 @@ OFFSETS = st.integers(min_value=-(2**62), max_value=2**62)
 
 
 def steady(delays, offset_ns, start_ns, count, sender="a"):
-    """So many messages, 20 a second, each 1 ms in transit."""
+    """Receive `count` messages, 20 a second, each 1 ms in transit; return their waiting times."""
     return [
         delays.waited_s(sender, at_ns + offset_ns - 1_000_000, at_ns)
         for at_ns in range(start_ns, start_ns + count * PERIOD_NS, PERIOD_NS)

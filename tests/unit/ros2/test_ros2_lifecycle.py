@@ -20,7 +20,7 @@ CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4
 
 
 class Managed:
-    """A node, and the state machine that it shows."""
+    """A managed node, and the daemon's state machine that it shows."""
 
     def __init__(self, state=State.IDLE):
         self.runtime = Runtime(load_robot(DEMO), Path("no.sock"))
@@ -134,7 +134,7 @@ async def test_a_held_node_reports_what_the_machine_does_as_soon_as_it_is_not_id
     assert await node.label() == "errorprocessing"
     node.become(State.IDLE)
     assert await node.label() == "unconfigured"
-    node.become(State.MOVING)  # armed by another program
+    node.become(State.MOVING)  # another program has armed the robot
     assert await node.label() == "active"
     node.become(State.IDLE)
     assert await node.label() == "inactive"
@@ -175,7 +175,7 @@ async def test_no_transition_leads_out_of_an_error(state):
 
 @pytest.mark.parametrize("answer", ["fault", "idle"])
 async def test_a_fault_while_the_robot_comes_to_rest_is_no_success(answer):
-    """Also where the daemon has answered before the fault."""
+    """`answer`: the state in the daemon's answer, which may come before the fault."""
     node = Managed(State.MOVING)
 
     async def fail(_):

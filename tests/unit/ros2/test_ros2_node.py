@@ -152,7 +152,7 @@ def test_a_robot_without_imu_offers_none_on_any_bus(kind):
 
 
 class Daemon:
-    """Records its requests; answers with a limit, or not at all."""
+    """A daemon that records the requests to it and answers with parameters, or not at all."""
 
     def __init__(self, answers=True):
         self.asked = []
@@ -171,7 +171,7 @@ class Daemon:
 
 
 published = []
-"""Events of parameters."""
+"""Parameter events that the node has published."""
 
 
 def asked(service, daemon, **request):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log of a node on /rosout."""
+"""The log of a ROS 2 node, published on /rosout."""
 
 import asyncio
 import logging
@@ -11,7 +11,7 @@ log = logging.getLogger("motord.test")
 
 
 class Topic:
-    """What was published, encoded and decoded again."""
+    """Keeps the published messages, encoded and decoded again."""
 
     def __init__(self):
         self.sent = []

@@ -15,7 +15,7 @@ def contest():
 
 
 def alternate(made, first, second, count=20, start_s=0.0):
-    """One at 20 Hz, the other at 10 Hz."""
+    """Receive commands of /nav at 20 Hz and of /teleop at 10 Hz; return the time after the last."""
     for number in range(count):
         made.received("/nav", first, start_s + 0.05 * number)
         if number % 2:

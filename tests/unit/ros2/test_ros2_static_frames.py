@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is published of frames that never move."""
+"""Transforms of frames that never move, as they are published."""
 
 import math
 from pathlib import Path
@@ -44,7 +44,7 @@ def test_a_sensor_is_where_the_users_own_description_puts_it():
 
 
 def turned(turn, vector):
-    """The vector turned by the quaternion's rotation matrix."""
+    """Return the vector, turned by the quaternion's rotation matrix."""
     x, y, z, w = turn.x, turn.y, turn.z, turn.w
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
@@ -55,7 +55,7 @@ def turned(turn, vector):
 
 
 def about(axis, angle_rad, vector):
-    """A turn about one of the fixed axes."""
+    """Return the vector, turned about one of the fixed axes (0 is x, 1 y, 2 z)."""
     one, other = (axis + 1) % 3, (axis + 2) % 3
     sine, cosine = math.sin(angle_rad), math.cos(angle_rad)
     made = list(vector)

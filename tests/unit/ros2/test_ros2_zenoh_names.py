@@ -24,7 +24,7 @@ def node(namespace="/", name="talker", domain_id=0, session_id="a52f44b281e33efe
 
 
 def seen(session_id, name, topic, quality):
-    """A publisher's token, number 4 in its node, as it was on the wire."""
+    """Return a publisher's token, number 4 in its node, as it was on the wire."""
     return f"@ros2_lv/0/{session_id}/0/4/MP/%/%/{name}/%{topic}/{DDS_STRING}/{quality}"
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator's fault script: its grammar, and that a seed decides everything."""
+"""The simulator's fault script: its grammar, and equal faults for an equal seed."""
 
 import math
 import random

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator's physics: rest is rest, energy comes from somewhere, arcs are arcs."""
+"""The simulator's physics: rest stays rest, energy has a source, paths are arcs."""
 
 import math
 

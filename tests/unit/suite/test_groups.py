@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tests/conftest.py does for tests that run side by side, and for long ones."""
+"""The hooks of tests/conftest.py for tests that run side by side, and for long tests."""
 
 import os
 import subprocess
@@ -21,7 +21,7 @@ def test_tests_that_share_a_fixture_of_their_file_stay_in_one_process(shared, re
 
 @pytest.fixture
 def ran(tmp_path):
-    """Runs pytest on what is in the folder, and returns its output."""
+    """Return a function that runs pytest on the files in tmp_path and returns its output."""
     (tmp_path / "conftest.py").write_text("from tests.conftest import *\n")
 
     def ran(*options):

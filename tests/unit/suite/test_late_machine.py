@@ -43,7 +43,7 @@ def test_it_hangs():
 @pytest.fixture
 def ran(tmp_path):
     def run(hold_s, good_at, again_max_s=60.0):
-        """Exit status, runs, output."""
+        """Run pytest on TEST; return its exit status, the number of runs, and its output."""
         bounds = (
             f"tests.late_machine.AGAIN_MAX_S = {again_max_s}\ntests.late_machine.CALM_WITHIN_S = 0"
         )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: what every command has, and the commands that need no robot."""
+"""The command line: features of every command, and the commands that need no robot."""
 
 import json
 import subprocess

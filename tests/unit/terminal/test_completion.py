@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""TAB completes in real shells, and the man pages are what man(7) allows."""
+"""TAB completes in real shells, and the man pages follow man(7)."""
 
 import os
 import shutil
@@ -21,7 +21,7 @@ def script(shell):
 
 @pytest.fixture
 def shell(tmp_path):
-    """Runs a shell script in which `motord` is the one under test."""
+    """Return a function that runs a shell script in which `motord` is the one under test."""
     program = tmp_path / "motord"
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m motord "$@"\n')
     program.chmod(0o755)

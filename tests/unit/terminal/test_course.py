@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstration's course, its score, and what a person is shown of it."""
+"""The demonstration's course, its score, and the result that a person sees."""
 
 import math
 import re
@@ -21,7 +21,7 @@ SOMEWHERE = st.floats(-100.0, 100.0)
 
 
 def after(seconds, step_s=0.01):
-    """Where a robot without inertia ends."""
+    """Return the pose at which a robot without inertia ends the course."""
     x_m = y_m = heading_rad = distance_m = 0.0
     for tick in range(round(seconds / step_s)):
         linear_m_s, angular_rad_s = command_at(tick * step_s, seconds)
@@ -114,7 +114,7 @@ def test_a_wheel_without_feedback_makes_odometry_use_set_points(tmp_path):
 
 
 def result(source=Source.COUNTERS, found=None, held_up_s=0.0, **changes):
-    """A result as a run of the demonstration returns it."""
+    """Return a result in the form of a run of the demonstration."""
     status = {
         "state": "idle",
         "faults": [],

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord doctor` names what is wrong with a machine, and what mends it, on planted files of /proc,
+"""`motord doctor` names the problems of a machine and their remedies, on planted files of /proc,
 /sys, /dev and /etc."""
 
 import os
@@ -36,7 +36,8 @@ GOOD = {
 
 @pytest.fixture
 def plant(tmp_path):
-    """Files of a good machine, and those that differ; None: there is no such file."""
+    """Return a function that plants the files of a good machine, but for `changes`: path → text;
+    None: there is no such file."""
 
     def planted(changes=None, **options):
         for name, text in (GOOD | (changes or {})).items():
@@ -130,7 +131,7 @@ def test_a_mend_that_fails_gives_its_reason():
 # ----------------------------------------------------------------------------------- serial devices
 @pytest.fixture
 def serial(plant):
-    """The demo robot's port exists, and this user may use it."""
+    """Return a function that plants the demo robot's port, which this user may use."""
 
     def planted(changes=None, mode=0o666, port="/dev/ttyUSB0"):
         root = plant({"/dev/ttyUSB0": "", **(changes or {})})
@@ -190,7 +191,7 @@ def test_a_missing_port_and_a_name_that_may_change_are_found(serial, plant):
 
 # ---------------------------------------------------------------------------------------------- CAN
 def link_answer(bitrate):
-    """As the kernel answers RTM_GETLINK for a CAN interface (linux/can/netlink.h)."""
+    """Return the kernel's answer to RTM_GETLINK for a CAN interface (linux/can/netlink.h)."""
 
     def attribute(kind, payload):
         return struct.pack("=HH", 4 + len(payload), kind) + payload + bytes(-len(payload) % 4)
@@ -251,7 +252,8 @@ PINMUX = "/sys/kernel/debug/pinctrl/fe200000.gpio-pinctrl-bcm2711/pinmux-pins"
 
 @pytest.fixture
 def pi4(plant):
-    """A Raspberry Pi 4 with its PWM chip, and pins as in `rows` of the kernel's table."""
+    """Return a function that plants a Raspberry Pi 4 with its PWM chip, and with `rows` in the
+    kernel's table of pins."""
 
     def planted(*rows, npwm="2"):
         table = "Format: pin (name): mux_owner gpio_owner hog?\n" + "\n".join(rows)
@@ -382,7 +384,8 @@ def test_a_rate_that_is_off_by_more_than_five_per_cent_is_found(plant):
 
 
 def publishing(taken, at_s=None):
-    """Counts of a publisher of 50 Hz; with `at_s`, of one of motord-bus that reported them then."""
+    """Return a status with the counts of a publisher of 50 Hz; with `at_s`, it is a publisher of
+    motord-bus, which reported them then."""
     counted = {"taken": taken, "dropped": 0, "topics": {"odom": {"rate_hz": 50.0, "taken": taken}}}
     if at_s is None:
         return {"publishers": {"console": counted}}

@@ -112,7 +112,7 @@ def test_a_key_is_as_old_as_the_newest_answered_ping():
 
 
 def test_after_a_stall_the_keys_from_the_buffer_are_old():
-    """The terminal has answered each ping at its time, and the link delivers all of it at once."""
+    """The terminal answered each ping at its time, but the link delivers all answers at once."""
     link, now_s = Link(0.0), 0.0
     while link.may_ping:
         link.pinged(now_s)
@@ -135,7 +135,7 @@ def test_before_the_first_answer_a_key_counts_as_old():
     assert link.key_age_s(0.1) > KEY_AGE_MAX_S
     assert link.answers(UNANSWERED_AFTER_S + 0.1) is False
     assert link.key_age_s(UNANSWERED_AFTER_S + 0.1) == 0.0
-    link.answered(9.0)  # it does answer, slowly
+    link.answered(9.0)  # the terminal does answer, but slowly
     assert link.key_age_s(9.0) == 9.0
 
 

@@ -18,7 +18,7 @@ DEADLINE_S = 60.0
 
 @pytest.fixture
 def keyboard(monkeypatch):
-    """Keys typed here are read from sys.stdin."""
+    """The end of a terminal at which the test types: sys.stdin reads the keys."""
     master, slave = pty.openpty()
     with open(slave, encoding="utf-8") as stdin:
         monkeypatch.setattr(sys, "stdin", stdin)

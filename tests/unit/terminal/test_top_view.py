@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `motord top` shows of an answer: the state, what to do about it, and what has changed."""
+"""The view of `motord top`: the state, the advice on it, and the changes since the last answer."""
 
 import math
 
@@ -52,7 +52,7 @@ def test_a_moving_robot_is_shown_with_its_commander_and_its_limits():
     text = shown(answer(reasons=["linear_jerk", "not_armed"]))
     assert "MOVING" in text
     assert "motord-teleop commands; limited by linear_jerk" in text
-    assert "y 0.00 m" in text  # no negative zero
+    assert "y 0.00 m" in text  # and not -0.00
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drop-in of a robot file: what it opens is allowed, and nothing else."""
+"""The systemd drop-in of a robot file: it allows the devices that the file names, and no others."""
 
 import json
 

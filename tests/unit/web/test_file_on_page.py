@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot file in the editor of the dashboard: read, checked, compared and written."""
+"""The robot file in the editor of the dashboard: it is read, checked, compared and written."""
 
 import hashlib
 import json
@@ -119,7 +119,7 @@ def test_a_file_that_another_program_wrote_is_not_overwritten(file, do):
 
 
 def test_a_file_that_cannot_be_written_is_named_with_the_reason(file):
-    file = file.rename(file.with_name(f"{'x' * 240}.toml"))  # the backup's name is too long
+    file = file.rename(file.with_name(f"{'x' * 240}.toml"))  # the name of its backup is too long
     found = carried_out(file, "save", FASTER)
     assert "cannot be written: File name too long" in found["unwritable"]
     assert file.read_text("utf-8") == TEXT

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a page calls and this machine cannot do: the page gets the reason, and stays connected."""
+"""A page whose call this machine cannot carry out gets the reason and stays connected."""
 
 import asyncio
 import errno
@@ -12,7 +12,7 @@ from motord.bus.web.viewer import Viewer
 
 
 async def served(path, serve):
-    """A page's connection whose calls that function answers."""
+    """Serve a page's connection at `path`; the function `serve` answers the page's calls."""
 
     async def answer(request):
         connection = web.WebSocketResponse()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may watch and command by the dashboard."""
+"""Rights to watch and to command through the dashboard."""
 
 import base64
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The description that a page gets: where the wheels are, for every kind of base."""
+"""The description that a page gets: the places of the wheels, for every kind of base."""
 
 import math
 from pathlib import Path

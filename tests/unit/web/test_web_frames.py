@@ -21,7 +21,7 @@ STRAFES = "mecanum4"
 
 
 def decoded(raw):
-    """Reads a frame as the page does."""
+    """Return the values of a frame, read as the page reads them."""
     found, at = layout(), 0
 
     def fields(rows):

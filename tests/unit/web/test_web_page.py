@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of the dashboard: what they weigh, where they come from, and what they may load."""
+"""The files of the dashboard: their size, their source, and the addresses that they may load."""
 
 import base64
 import gzip

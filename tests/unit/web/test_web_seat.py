@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which page drives, and that no command counts again after a pause."""
+"""The seat decides which page drives; after a pause no command of the old hold counts."""
 
 import time
 
@@ -16,7 +16,7 @@ LEASE_S = 0.3
 
 
 class Clock:
-    """The clock of this process, set by hand."""
+    """The clock of this process, which the test sets."""
 
     def __init__(self, monkeypatch):
         self.now_s = 1000.0
@@ -39,7 +39,7 @@ def seat(clock, tmp_path):
     source = gate.source
     source.drive = lambda linear, angular, *_, **__: gate.commands.append((linear, angular)) or True
     source.release = lambda **_: gate.commands.append("release") or True
-    clock.now_s += 100.0  # no pause: the gaps have looked now
+    clock.now_s += 100.0  # the next line makes this no pause: both gaps have looked just now
     gate._gap._looked_s = gate.gap._looked_s = clock.now_s
     made = Seat(gate, LEASE_S)
     made.commands = gate.commands
@@ -53,7 +53,7 @@ def frame(clock, press=1, linear_m_s=0.2, waited_s=0.0, seen_ago_s=0.02):
 
 
 def passes(seat, clock, seconds):
-    """Time passes, and this process does not stand still."""
+    """Advance the clock, without a pause of this process."""
     clock.now_s += seconds
     for gap in seat.gaps:
         gap._looked_s = clock.now_s
@@ -98,7 +98,7 @@ def test_a_page_that_sees_an_old_state_does_not_drive(seat, clock):
         seat.drive(driver, frame(clock, seen_ago_s=SEEN_MAX_S + 0.1))
     with pytest.raises(NotTaken):
         seat.drive(driver, frame(clock, press=2, seen_ago_s=float("nan")))
-    with pytest.raises(NotTaken):  # from before this computer was started
+    with pytest.raises(NotTaken):  # a stamp in the future: from before a restart of the computer
         seat.drive(driver, frame(clock, press=3, seen_ago_s=-3600.0))
     assert (0.2, 0.1) not in seat.commands
 
