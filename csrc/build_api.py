@@ -44,6 +44,8 @@ CLASSES = (
     ("derating_shown", "DeratingSnapshot", "The derating of the joint that slows the base most."),
     ("speed_loop_shown", "SpeedLoopSnapshot", "One wheel's speed loop: torque in N m, or duty."),
     ("robot_state", "PlainSnapshot", "State of the robot as a whole, without its sub-structures."),
+    ("lateral_state", "LateralSnapshot(PlainSnapshot)", "Adds the values of motion sideways."),
+    ("steering_state", "SteeringSnapshot(LateralSnapshot)", "Adds joints that take positions."),
 )
 KINDS = {
     "int64_t": (8, "I64"), "uint64_t": (8, "U64"), "uint32_t": (4, "U32"), "double": (8, "float"),

@@ -5,6 +5,7 @@ them in `make san`. Programs that tests start use bytecode: without it, each of 
 compiles a hundred modules again."""
 
 import contextlib
+import gc
 import functools
 import gc
 import os
@@ -149,6 +150,7 @@ def pytest_configure(config):
 
 @contextlib.contextmanager
 def _no_descriptor_left():
+    gc.collect()  # what other tests left open would be closed in the block
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     with open(os.devnull, "rb") as free:
         lowest = free.fileno()

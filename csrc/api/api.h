@@ -49,7 +49,7 @@ enum {
     REASON_TURN_IMPOSSIBLE = 1 << 23,  /* this base cannot turn on the spot: the angular part of the
                                           command is left out */
     REASON_POSITION_UNKNOWN = 1 << 24, /* a joint's position is unknown: see
-                                          robot_state.steering.unknown */
+                                          robot_state.steering.position_unknown */
     REASON_DERATED = 1 << 25,          /* [joint] derating: see robot_state.derating */
     REASON_JOINT_VELOCITY = 1 << 26,   /* for joints without a base, like the next two:
                                           velocity_max_rad_s of a joint */
@@ -281,21 +281,23 @@ typedef struct {
 
 /* Further values of a base that moves sideways; zero for other bases, except the slip. */
 typedef struct {
-    double wanted_m_s; /* the command as it came in; 0 when stale or not finite */
-    double setpoint_m_s;
-    double measured_m_s;
+    double wanted_lateral_m_s; /* the command as it came in, to the left; 0 when stale or not
+                                  finite */
+    double setpoint_lateral_m_s;
+    double lateral_m_s; /* measured, positive to the left */
     double slip_m_s; /* root mean square of the rims' speeds that no motion of the base explains */
-    double covariance[3]; /* of the measured lateral speed: with linear, with itself, with
-                             angular */
+    double lateral_covariance[3]; /* of the measured twist: vx vy, vy vy, vy w in m2/s2, m2/s2,
+                                     m rad/s2 */
 } lateral_state;
 
 /* State of joints that take positions; zero if there are no such joints. */
 typedef struct {
-    double setpoint_rad[JOINTS_MAX]; /* NaN: no set-point */
+    double position_setpoints_rad[JOINTS_MAX]; /* NaN: no set-point */
     double misaligned_rad; /* greatest angle between a wheel and its wanted direction; INFINITY: not
                               known yet */
-    uint32_t joints;  /* bit n: joint n takes positions; joint[n].position_rad is then its angle */
-    uint32_t unknown; /* bit n: the position of joint n is unknown */
+    uint32_t position_joints;  /* bit n: joint n takes positions, and its position_rad is its
+                                  angle */
+    uint32_t position_unknown; /* bit n: the position of joint n is unknown */
 } steering_state;
 
 enum { PAGE_LAYOUT_VERSION = 1 };

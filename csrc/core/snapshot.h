@@ -71,9 +71,9 @@ static inline void snapshot_write_feedback(core_state *state, const joint_feedba
         to->twist_covariance[i] = from->twist_covariance[i];
     }
     for (int i = 0; i < 3 && state->axes == AXES; i++) {
-        to->lateral.covariance[i] = from->lateral_covariance[i];
+        to->lateral.lateral_covariance[i] = from->lateral_covariance[i];
     }
-    to->lateral.measured_m_s = from->lateral_m_s;
+    to->lateral.lateral_m_s = from->lateral_m_s;
     to->lateral.slip_m_s = from->spread.slip_m_s;
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         write_joint(state, &feedback[j], j, &to->joint[j]);
@@ -106,13 +106,13 @@ static inline void write_steering(core_state *state)
 {
     steering_state *to = &state->snapshot.steering;
     to->misaligned_rad = state->steer.misaligned_rad;
-    to->unknown = state->steer.unknown;
+    to->position_unknown = state->steer.unknown;
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         bool takes = state->config.joint[j].position.used != 0;
         bool shown = takes && state->steer.enabled && !(state->steer.unknown >> j & 1U);
-        to->setpoint_rad[j] = shown ? state->steer.profile[j].position_rad : (double)NAN;
+        to->position_setpoints_rad[j] = shown ? state->steer.profile[j].position_rad : (double)NAN;
         if (takes) {
-            to->joints |= 1U << j;
+            to->position_joints |= 1U << j;
             state->snapshot.joint[j].position_rad = state->odometry.angle_rad[j];
             state->snapshot.joint[j].setpoint_rad_s =
                 shown ? state->wheels.joint[j].velocity_rad_s : 0.0;
@@ -172,8 +172,8 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->command_age_s = t->command_age_s > 0.0 ? t->command_age_s : 0.0;
     to->wanted_linear_m_s = t->command_fresh ? state->goal.wanted_u_s[AXIS_LINEAR] : 0.0;
     to->wanted_angular_rad_s = t->command_fresh ? state->goal.wanted_u_s[AXIS_ANGULAR] : 0.0;
-    to->lateral.wanted_m_s = t->command_fresh ? state->goal.wanted_u_s[AXIS_LATERAL] : 0.0;
-    to->lateral.setpoint_m_s = state->axis[AXIS_LATERAL].velocity_u_s;
+    to->lateral.wanted_lateral_m_s = t->command_fresh ? state->goal.wanted_u_s[AXIS_LATERAL] : 0.0;
+    to->lateral.setpoint_lateral_m_s = state->axis[AXIS_LATERAL].velocity_u_s;
     to->setpoint_linear_m_s = state->axis[AXIS_LINEAR].velocity_u_s;
     to->setpoint_angular_rad_s = state->axis[AXIS_ANGULAR].velocity_u_s;
     to->saturation = t->saturation;

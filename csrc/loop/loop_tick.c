@@ -356,7 +356,7 @@ void loop_rest(loop_work *work, int64_t now_ns)
     last->reasons |= REASON_NOT_ARMED;
     last->setpoint_linear_m_s = 0;
     last->setpoint_angular_rad_s = 0;
-    last->lateral.setpoint_m_s = 0;
+    last->lateral.setpoint_lateral_m_s = 0;
     for (uint32_t joint = 0; joint < JOINTS_MAX; joint++) {
         last->joint[joint].setpoint_rad_s = 0;
         last->joint[joint].duty = 0;

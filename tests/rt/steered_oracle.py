@@ -168,7 +168,11 @@ class SteeredRig(PositionRig):
     def twist(self) -> np.ndarray:
         shown = self.shown
         return np.array(
-            [shown.setpoint_linear_m_s, shown.lateral.setpoint_m_s, shown.setpoint_angular_rad_s]
+            [
+                shown.setpoint_linear_m_s,
+                shown.lateral.setpoint_lateral_m_s,
+                shown.setpoint_angular_rad_s,
+            ]
         )
 
     @property

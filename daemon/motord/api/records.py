@@ -151,3 +151,26 @@ class PlainSnapshot:
     angular_rad_s: float
     pose_covariance: Doubles6  # xx, xy, xh, yy, yh, hh in m2, m rad, rad2
     twist_covariance: Doubles3  # vv, vw, ww
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LateralSnapshot(PlainSnapshot):
+    """Adds the values of motion sideways."""
+
+    wanted_lateral_m_s: float  # the command as it came in, to the left; 0 when stale or not finite
+    setpoint_lateral_m_s: float
+    lateral_m_s: float  # measured, positive to the left
+    slip_m_s: float  # root mean square of the rims' speeds that no motion of the base explains
+    lateral_covariance: Doubles3  # of the measured twist: vx vy, vy vy, vy w in m2/s2, m2/s2, m
+    # rad/s2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SteeringSnapshot(LateralSnapshot):
+    """Adds joints that take positions."""
+
+    position_setpoints_rad: Doubles8  # NaN: no set-point
+    misaligned_rad: float  # greatest angle between a wheel and its wanted direction; INFINITY: not
+    # known yet
+    position_joints: U32  # bit n: joint n takes positions, and its position_rad is its angle
+    position_unknown: U32  # bit n: the position of joint n is unknown

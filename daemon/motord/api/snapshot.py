@@ -12,12 +12,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, get_args
 
-from motord.api.records import U32, Doubles3, Doubles8, PlainSnapshot
 from motord.api.records import DeratingSnapshot as DeratingSnapshot
 from motord.api.records import DoubtSnapshot as DoubtSnapshot
 from motord.api.records import ImuSnapshot as ImuSnapshot
 from motord.api.records import JointSnapshot as JointSnapshot
 from motord.api.records import SpeedLoopSnapshot as SpeedLoopSnapshot
+from motord.api.records import SteeringSnapshot
 
 SNAPSHOT_VERSION = 1
 """Version of the snapshot; it grows when a field is renamed, removed or changes its meaning, not
@@ -31,27 +31,10 @@ DERATED_BY = ("temperature", "current", "voltage")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Snapshot(PlainSnapshot):
+class Snapshot(SteeringSnapshot):
     """The robot after one tick. `stamp_ns` is CLOCK_MONOTONIC; publishers add wall-clock time."""
 
     joints: tuple[JointSnapshot, ...]
-    wanted_lateral_m_s: float = 0.0
-    setpoint_lateral_m_s: float = 0.0
-    lateral_m_s: float = 0.0
-    """Measured, positive to the left; 0 for a base that cannot move sideways."""
-    slip_m_s: float = 0.0
-    """Speed of the rims against each other that no motion of the base explains, root mean
-    square."""
-    lateral_covariance: Doubles3 = (0.0, 0.0, 0.0)
-    """Covariance of the twist: vx vy, vy vy, vy w in m2/s2, m2/s2, m rad/s2."""
-    position_setpoints_rad: Doubles8 = ()
-    """Set-point of each joint that takes positions; NaN: no set-point."""
-    misaligned_rad: float = 0.0
-    """Angle by which the worst steered wheel is off its aim. Infinity: not known yet."""
-    position_joints: U32 = 0
-    """Bit n: joint n takes positions, and its `position_rad` is its angle."""
-    position_unknown: U32 = 0
-    """Bit n: the position of joint n is not known."""
     imu: ImuSnapshot | None = None
     """None: the robot has no IMU, or nothing was received from it yet."""
     doubt: DoubtSnapshot | None = None

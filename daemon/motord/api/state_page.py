@@ -7,7 +7,6 @@ if its sequence is the same before and after."""
 
 from __future__ import annotations
 
-import dataclasses
 import mmap
 import os
 import struct
@@ -16,7 +15,12 @@ from pathlib import Path
 from typing import Any, Self
 
 from motord.api.page_file import find_page
-from motord.api.records import PAGE_LAYOUT_VERSION, PlainSnapshot
+from motord.api.records import (
+    PAGE_LAYOUT_VERSION,
+    LateralSnapshot,
+    PlainSnapshot,
+    SteeringSnapshot,
+)
 from motord.api.snapshot import (
     GYRO_STATES,
     DeratingSnapshot,
@@ -82,20 +86,10 @@ its value to Python."""
 class _Record:
     """Decoder of a structure of csrc/api/api.h: the fields of its dataclass, in their order."""
 
-    def __init__(
-        self,
-        kind: type,
-        *,
-        hidden: tuple[str, str] = ("", ""),
-        only: Callable[[str], bool] = bool,
-    ) -> None:
-        """`hidden`: a field that only the structure has, and the field before which it stands.
-        `only`: whether the structure has the field of that name."""
-        names = [
-            (f.name, str(f.type))
-            for f in dataclasses.fields(kind)
-            if f.type in _FORMS and only(f.name)
-        ]
+    def __init__(self, kind: type, *, hidden: tuple[str, str] = ("", "")) -> None:
+        """`kind`: the dataclass; a structure has the fields of its own, not those of its base.
+        `hidden`: a field that only the structure has, and the field before which it stands."""
+        names = [(name, form) for name, form in kind.__annotations__.items() if form in _FORMS]
         if hidden[0]:
             names.insert([name for name, _ in names].index(hidden[1]), (hidden[0], "U32"))
         self._struct = struct.Struct("=" + "".join(_FORMS[form][0] for _, form in names))
@@ -118,15 +112,9 @@ class _Record:
 
 
 _JOINT, _IMU, _DOUBT = map(_Record, (JointSnapshot, ImuSnapshot, DoubtSnapshot))
-_LATERAL_NAMES = (
-    "wanted_lateral_m_s", "setpoint_lateral_m_s", "lateral_m_s", "slip_m_s", "lateral_covariance",
-)  # fmt: skip
-_STEERING_NAMES = (
-    "position_setpoints_rad", "misaligned_rad", "position_joints", "position_unknown",
-)  # fmt: skip
 _STATE = _Record(PlainSnapshot, hidden=("joint_count", "odometry_degraded"))
-_LATERAL = _Record(Snapshot, only=lambda name: name in _LATERAL_NAMES)
-_STEERING = _Record(Snapshot, only=lambda name: name in _STEERING_NAMES)
+_LATERAL = _Record(LateralSnapshot)
+_STEERING = _Record(SteeringSnapshot)
 _SPEED_LOOP = _Record(SpeedLoopSnapshot)
 _JOINTS_MAX = 8
 _IMU_OFFSET = _STATE.bytes + _JOINTS_MAX * _JOINT.bytes

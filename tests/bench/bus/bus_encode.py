@@ -54,7 +54,9 @@ def moving() -> View:
         heading_rad=0.7, distance_m=12.34, turned_rad=2.2, linear_m_s=0.3331, angular_rad_s=0.0913,
         pose_covariance=(0.1 / 3, 0.2 / 3, 0.3 / 7, 0.4 / 3, 0.5 / 7, 0.6 / 7),
         twist_covariance=(1e-4 / 3, 1e-5 / 3, 1e-4 / 7), joints=(joint(12.3456), joint(-3.21)),
-        imu=imu(),
+        imu=imu(), wanted_lateral_m_s=0.0, setpoint_lateral_m_s=0.0, lateral_m_s=0.0, slip_m_s=1e-4,
+        lateral_covariance=(0.0, 0.0, 0.0), position_setpoints_rad=(math.nan,) * 8,
+        misaligned_rad=0.0, position_joints=0, position_unknown=0,
     )  # fmt: skip
     late = dict.fromkeys(("p50", "p99", "p99_9", "max"), 12.5)
     loop = {"rate_hz": 1000.0, "policy": "SCHED_FIFO", "ticks": 1, "overruns": 0, "page_faults": 0,

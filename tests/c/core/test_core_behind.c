@@ -52,7 +52,7 @@ static void note(place *found)
     memcpy(&found->following, &state->steer.following[j], sizeof found->following);
     memcpy(&found->loop, &state->snapshot.speed_loop[j], sizeof found->loop);
     found->angle_rad = state->odometry.angle_rad[j];
-    found->setpoint_rad = state->snapshot.steering.setpoint_rad[j];
+    found->setpoint_rad = state->snapshot.steering.position_setpoints_rad[j];
     found->stale = state->stale[j];
 }
 
@@ -75,7 +75,7 @@ static void write_behind(uint32_t j)
     state->steer.profile[j] = (position_profile){.position_rad = 0.7, .velocity_rad_s = 0.2};
     state->snapshot.joint[j].setpoint_rad_s = state->snapshot.joint[j].duty = 0.3;
     state->snapshot.joint[j].feedback_age_s = 5.0;
-    state->snapshot.steering.setpoint_rad[j] = 6.0;
+    state->snapshot.steering.position_setpoints_rad[j] = 6.0;
     state->snapshot.speed_loop[j].output_u = 4.0;
 }
 
@@ -92,7 +92,7 @@ static const robot_state *tick_beside(void)
     CHECK(memcmp(&before, &after, sizeof before) == 0);
     CHECK((r.state.slewed | r.state.loops) == 0 &&
           r.state.derates == derating_used(&r.config.joint[0].derating));
-    CHECK(r.shown.steering.joints >> j == 0);
+    CHECK(r.shown.steering.position_joints >> j == 0);
     CHECK(r.state.steer.unknown >> j == 0 && r.out.positioned >> j == 0 &&
           r.out.position_rad[j] == 0.0);
     CHECK(r.shown.derating.since_ns == 0 && r.shown.odometry_degraded == 0 &&

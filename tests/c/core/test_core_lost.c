@@ -76,7 +76,7 @@ static void a_command_with_a_part_that_is_not_finite_moves_and_arms_nothing(void
         uint32_t positioned = r.out.positioned;
         CHECK(tick(&r)->reasons & REASON_COMMAND_NOT_FINITE);
         CHECK(r.shown.wanted_linear_m_s == 0.0 && r.shown.wanted_angular_rad_s == 0.0 &&
-              r.shown.lateral.wanted_m_s == 0.0);
+              r.shown.lateral.wanted_lateral_m_s == 0.0);
         for (int ms = 0; ms < 1500; ms++) { /* the base neither continues nor reverses */
             CHECK(r.shown.setpoint_linear_m_s >= 0.0 && r.shown.setpoint_linear_m_s <= before_m_s);
             before_m_s = r.shown.setpoint_linear_m_s;

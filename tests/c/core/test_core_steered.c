@@ -8,7 +8,7 @@ static const double ANGLE_RAD = 0.23554498072086333;
 static bool all_rest(const rig *r)
 {
     return zero(r) && r->shown.setpoint_linear_m_s == 0.0 &&
-           r->shown.setpoint_angular_rad_s == 0.0 && r->shown.lateral.setpoint_m_s == 0.0;
+           r->shown.setpoint_angular_rad_s == 0.0 && r->shown.lateral.setpoint_lateral_m_s == 0.0;
 }
 
 static void a_bicycle_points_its_wheel_drives_and_measures_its_curve(void)
@@ -25,8 +25,8 @@ static void a_bicycle_points_its_wheel_drives_and_measures_its_curve(void)
           close_to(r.shown.setpoint_angular_rad_s, 0.4));
     CHECK(fabs(r.shown.linear_m_s - 0.5) < 1e-3 && fabs(r.shown.angular_rad_s - 0.4) < 1e-3);
     CHECK(r.shown.odometry_degraded == 0 && r.shown.lateral.slip_m_s < 1e-4);
-    CHECK(r.shown.steering.joints == 2 && r.shown.steering.misaligned_rad < 1e-4 &&
-          r.shown.steering.unknown == 0);
+    CHECK(r.shown.steering.position_joints == 2 && r.shown.steering.misaligned_rad < 1e-4 &&
+          r.shown.steering.position_unknown == 0);
     CHECK(fabs(r.shown.joint[1].position_rad - ANGLE_RAD) < 1e-4 &&
           r.shown.joint[1].setpoint_rad_s == 0.0);
     CHECK(fabs(r.shown.heading_rad - 0.8 * r.shown.distance_m) < 1e-3 && r.shown.heading_rad > 0.3);
@@ -50,11 +50,11 @@ static void each_wheel_of_a_swerve_base_rolls_at_the_speed_of_the_floor_under_it
     start(&r, &config);
     go(&r, 0.2, 0.0);
     r.input.command.lateral_m_s = 0.3;
-    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_m_s, 0.3));
+    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_lateral_m_s, 0.3));
     r.input.command.angular_rad_s = 0.5;
     ticks(&r, 2500);
     CHECK(r.shown.reasons == 0 && r.out.positioned == 0x55 &&
-          close_to(r.shown.lateral.setpoint_m_s, 0.3));
+          close_to(r.shown.lateral.setpoint_lateral_m_s, 0.3));
     for (int k = 0; k < 4; k++) {
         const wheel_module *at = &config.module[k];
         double x_m_s = 0.2 - 0.5 * at->y_m, y_m_s = 0.3 + 0.5 * at->x_m,
@@ -66,7 +66,7 @@ static void each_wheel_of_a_swerve_base_rolls_at_the_speed_of_the_floor_under_it
         CHECK(r.out.joint[2 * k].duty == 0.0 &&
               fabs(r.out.joint[2 * k + 1].duty - rolls_rad_s / 60.0) < 1e-4);
     }
-    CHECK(fabs(r.shown.linear_m_s - 0.2) < 1e-3 && fabs(r.shown.lateral.measured_m_s - 0.3) < 1e-3);
+    CHECK(fabs(r.shown.linear_m_s - 0.2) < 1e-3 && fabs(r.shown.lateral.lateral_m_s - 0.3) < 1e-3);
     CHECK(fabs(r.shown.angular_rad_s - 0.5) < 2e-3);
 }
 
@@ -232,7 +232,8 @@ static void every_stop_of_a_steered_base_ends_at_rest(void)
         CHECK(all_rest(&r) && r.out.enabled == (ACTIONS[i] == STOP_HOLD ? 1 : 0));
         CHECK(r.out.positioned == (ACTIONS[i] == STOP_HOLD ? 2 : 0));
         if (ACTIONS[i] != STOP_HOLD) { /* without power the target is the position of the joint */
-            CHECK(r.out.position_rad[1] == 0.0 && isnan(r.shown.steering.setpoint_rad[1]));
+            CHECK(r.out.position_rad[1] == 0.0 &&
+                  isnan(r.shown.steering.position_setpoints_rad[1]));
             CHECK(r.state.steer.enabled == 0 &&
                   r.state.steer.profile[1].position_rad == r.state.odometry.angle_rad[1]);
         }
@@ -251,9 +252,9 @@ static void limits_of_the_lateral_axis_apply_where_the_base_strafes(void)
     r.input.control.armed = 1;
     tick(&r);
     r.input.command.lateral_m_s = 0.6;
-    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_m_s, 0.6));
+    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_lateral_m_s, 0.6));
     *velocity_m_s = 0.2;
-    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_m_s, 0.2) &&
+    CHECK(close_to(ticks(&r, 2500)->lateral.setpoint_lateral_m_s, 0.2) &&
           r.shown.reasons == REASON_LATERAL_VELOCITY);
 }
 
@@ -336,18 +337,21 @@ static void a_steering_joint_that_loses_its_position_ends_at_rest_and_is_not_arm
     config.joint[1].position.reference = REFERENCE_HOMED;
     rig r;
     start(&r, &config);
-    CHECK(ticks(&r, 2)->steering.unknown == 2 && (r.shown.reasons & REASON_POSITION_UNKNOWN));
+    CHECK(ticks(&r, 2)->steering.position_unknown == 2 &&
+          (r.shown.reasons & REASON_POSITION_UNKNOWN));
     r.input.control.armed = 1;
-    CHECK(tick(&r)->armed == 0 && r.shown.faults == 0 && isnan(r.shown.steering.setpoint_rad[1]));
+    CHECK(tick(&r)->armed == 0 && r.shown.faults == 0 &&
+          isnan(r.shown.steering.position_setpoints_rad[1]));
     r.input.control.armed = 0;
     r.input.feedback[1].referenced = 1;
-    CHECK(ticks(&r, 2)->steering.unknown == 0 && !(r.shown.reasons & REASON_POSITION_UNKNOWN));
+    CHECK(ticks(&r, 2)->steering.position_unknown == 0 &&
+          !(r.shown.reasons & REASON_POSITION_UNKNOWN));
     go(&r, 0.5, 0.4);
     r.input.feedback[1].referenced = 0;
     CHECK(tick(&r)->faults == FAULT_POSITION_UNKNOWN && r.shown.armed == 0 &&
           r.out.positioned == 0 && r.out.enabled == 1);
     r.input.command.linear_m_s = r.input.command.angular_rad_s = 0.0;
-    CHECK(ticks(&r, 2500)->steering.unknown == 2 && all_rest(&r) && r.out.enabled == 0);
+    CHECK(ticks(&r, 2500)->steering.position_unknown == 2 && all_rest(&r) && r.out.enabled == 0);
     rig both;
     start(&both, &config);
     both.input.feedback[1].referenced = 1;

@@ -264,7 +264,7 @@ static void the_full_number_of_joints_move(void)
     ticks(&r, 1500);
     CHECK(r.shown.faults == 0 && r.shown.reasons == 0 && r.shown.at_rest == 0 &&
           r.shown.odometry_degraded == 0);
-    CHECK(r.shown.steering.joints == 0xAA);
+    CHECK(r.shown.steering.position_joints == 0xAA);
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
         CHECK((j % 2 == 0 ? r.out.joint[j].velocity_rad_s : r.out.position_rad[j]) ==
               r.input.joints.value_u[j]);
@@ -313,7 +313,7 @@ static void a_joint_without_a_known_position_does_not_move(void)
     ready(&r, &config);
     r.input.control.armed = 1;
     CHECK(tick(&r)->armed == 0 && r.out.enabled == 0 && r.out.positioned == 0);
-    CHECK((r.shown.reasons & REASON_POSITION_UNKNOWN) && r.shown.steering.unknown == 1);
+    CHECK((r.shown.reasons & REASON_POSITION_UNKNOWN) && r.shown.steering.position_unknown == 1);
     r.input.feedback[0].referenced = 1;
     r.input.control.armed = 0;
     tick(&r);

@@ -212,22 +212,23 @@ static void lateral_motion_is_reported_like_the_other_two(void)
     }
     const odometry_state *from = &r->state.odometry;
     const lateral_state *lateral = &r->shown.lateral;
-    CHECK(lateral->wanted_m_s == 0.25 && lateral->setpoint_m_s == 0.25 &&
+    CHECK(lateral->wanted_lateral_m_s == 0.25 && lateral->setpoint_lateral_m_s == 0.25 &&
           r->state.axis[AXIS_LATERAL].velocity_u_s == 0.25);
-    CHECK(lateral->measured_m_s == from->lateral_m_s && lateral->measured_m_s > 0.1);
+    CHECK(lateral->lateral_m_s == from->lateral_m_s && lateral->lateral_m_s > 0.1);
     CHECK(lateral->slip_m_s == from->spread.slip_m_s && lateral->slip_m_s > 0.001);
     for (int i = 0; i < 3; i++) {
-        CHECK(lateral->covariance[i] == from->lateral_covariance[i] &&
-              lateral->covariance[i] != 0.0);
+        CHECK(lateral->lateral_covariance[i] == from->lateral_covariance[i] &&
+              lateral->lateral_covariance[i] != 0.0);
     }
     r->mute = true;
-    CHECK(ticks(r, 310)->lateral.wanted_m_s == 0.0);
+    CHECK(ticks(r, 310)->lateral.wanted_lateral_m_s == 0.0);
     config = good_config();
     start(r, &config);
     go(r, 0.2, 0.0);
     /* this base has no lateral axis */
     r->state.odometry.lateral_covariance[0] = r->state.odometry.lateral_covariance[2] = 1.0;
-    CHECK(tick(r)->lateral.covariance[0] == 0.0 && r->shown.lateral.covariance[2] == 0.0);
+    CHECK(tick(r)->lateral.lateral_covariance[0] == 0.0 &&
+          r->shown.lateral.lateral_covariance[2] == 0.0);
 }
 
 /* A steering joint is reported with its angle, and with its target while it has power and a known
@@ -241,8 +242,8 @@ static void joints_that_take_positions_are_reported_with_their_set_points(void)
     r->position_rad[1] = 0.125;
     const robot_state *shown = ticks(r, 3);
     const steering_state *steering = &r->shown.steering;
-    CHECK(steering->joints == 2 && isnan(steering->setpoint_rad[0]) &&
-          isnan(steering->setpoint_rad[1]));
+    CHECK(steering->position_joints == 2 && isnan(steering->position_setpoints_rad[0]) &&
+          isnan(steering->position_setpoints_rad[1]));
     CHECK(fabs(shown->joint[1].position_rad - 0.125) < 2e-5 &&
           shown->joint[1].setpoint_rad_s == 0.0);
     r->input.control.armed = 1;
@@ -252,17 +253,18 @@ static void joints_that_take_positions_are_reported_with_their_set_points(void)
         shown = tick(r);
         CHECK(steering->misaligned_rad == r->state.steer.misaligned_rad &&
               steering->misaligned_rad > 0.1);
-        CHECK(steering->setpoint_rad[1] == r->out.position_rad[1] &&
-              isnan(steering->setpoint_rad[0]));
+        CHECK(steering->position_setpoints_rad[1] == r->out.position_rad[1] &&
+              isnan(steering->position_setpoints_rad[0]));
         CHECK(shown->joint[1].setpoint_rad_s == r->out.joint[1].velocity_rad_s &&
               shown->joint[1].setpoint_rad_s > 0.0);
         CHECK(shown->joint[1].position_rad == r->state.odometry.angle_rad[1] &&
-              steering->joints == 2);
+              steering->position_joints == 2);
     }
     r->input.feedback[1].referenced = 0;
     shown = tick(r);
-    CHECK(shown->faults == FAULT_POSITION_UNKNOWN && shown->enabled == 1 && steering->unknown == 2);
-    CHECK(isnan(steering->setpoint_rad[1]) && shown->joint[1].setpoint_rad_s == 0.0);
+    CHECK(shown->faults == FAULT_POSITION_UNKNOWN && shown->enabled == 1 &&
+          steering->position_unknown == 2);
+    CHECK(isnan(steering->position_setpoints_rad[1]) && shown->joint[1].setpoint_rad_s == 0.0);
 }
 
 static void every_reason_is_reported_independently_with_its_start_time(void)

@@ -101,7 +101,11 @@ def test_some_wheels_are_enough_to_know_the_motion_and_others_are_not(kind, left
 
 def twist(shown):
     return np.array(
-        [shown.setpoint_linear_m_s, shown.lateral.setpoint_m_s, shown.setpoint_angular_rad_s]
+        [
+            shown.setpoint_linear_m_s,
+            shown.lateral.setpoint_lateral_m_s,
+            shown.setpoint_angular_rad_s,
+        ]
     )
 
 
@@ -144,7 +148,7 @@ def test_no_limit_is_exceeded_in_any_tick_and_a_stop_ends_at_rest(kind, twists, 
         limits_hold(rig, before, after)
         before = after
     assert_rest(rig)
-    assert rig.shown.lateral.setpoint_m_s == 0.0
+    assert rig.shown.lateral.setpoint_lateral_m_s == 0.0
     assert rig.shown.at_rest
 
 

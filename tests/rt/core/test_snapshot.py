@@ -13,6 +13,7 @@ from _motord_rt import ffi, lib
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motord.api.records import LateralSnapshot, SteeringSnapshot
 from motord.api.snapshot import (
     DERATED_BY,
     SNAPSHOT_VERSION,
@@ -63,10 +64,10 @@ def raw_state():
         setattr(raw.doubt, name, number)
     raw.doubt.fault = lib.FAULT_STALL
     for number, name in enumerate(c_fields("lateral_state"), 9000):
-        vector = name == "covariance"
+        vector = name == "lateral_covariance"
         setattr(raw.lateral, name, [number * 10 + i for i in range(3)] if vector else number)
     for number, name in enumerate(c_fields("steering_state"), 9500):
-        vector = name == "setpoint_rad"
+        vector = name == "position_setpoints_rad"
         setattr(raw.steering, name, [number * 10 + i for i in range(8)] if vector else number)
     for index in range(3):
         raw.speed_loop[index] = {"output_u": 9100 + index, "integral_u": 9200 + index}
@@ -85,37 +86,19 @@ JOINT_REASONS = [
     "joint_acceleration",
     "joint_position",
 ]
-LATERAL = {
-    "wanted_lateral_m_s": "wanted_m_s",
-    "setpoint_lateral_m_s": "setpoint_m_s",
-    "lateral_m_s": "measured_m_s",
-    "slip_m_s": "slip_m_s",
-    "lateral_covariance": "covariance",
-}
-"""Snapshot's field → field of lateral_state, in the order of the C struct."""
-STEERING = {
-    "position_setpoints_rad": "setpoint_rad",
-    "misaligned_rad": "misaligned_rad",
-    "position_joints": "joints",
-    "position_unknown": "unknown",
-}
-"""Snapshot's field → field of steering_state, in the order of the C struct."""
 
 
 def test_the_names_are_those_of_the_c_struct():
     expected = set(c_fields("robot_state")) - {"joint_count", *APART}
-    ours = (
-        {"joints", "speed_loops", "version", "imu", "doubt", "derating"}
-        | set(LATERAL)
-        | set(STEERING)
-    )
+    ours = {"joints", "speed_loops", "version", "imu", "doubt", "derating"}
+    ours |= {*c_fields("lateral_state"), *c_fields("steering_state")}
     ours |= {"reasons_since_ns", "saturated_joint", "reason_joints"}
     assert set(python_fields(Snapshot)) == expected | ours
     assert python_fields(SpeedLoopSnapshot) == c_fields("speed_loop_shown")
     assert python_fields(DeratingSnapshot) == c_fields("derating_shown")
     assert c_fields("reasons_shown") == ["since_ns", "saturated_joint", *JOINT_REASONS]
-    assert list(STEERING.values()) == c_fields("steering_state")
-    assert list(LATERAL.values()) == c_fields("lateral_state")
+    assert list(LateralSnapshot.__annotations__) == c_fields("lateral_state")
+    assert list(SteeringSnapshot.__annotations__) == c_fields("steering_state")
     assert python_fields(JointSnapshot) == c_fields("joint_state")
     assert python_fields(ImuSnapshot) == c_fields("imu_state")
     assert python_fields(DoubtSnapshot) == c_fields("feedback_doubt")
@@ -127,15 +110,11 @@ def test_every_field_arrives_in_its_place():
     assert (made.reasons, made.faults) == (("linear_jerk", "command_stale"), ("estop", "state"))
     apart = {"joints", "speed_loops", "version", "reasons", "faults", "imu", "doubt", "derating"}
     apart |= {"reasons_since_ns", "saturated_joint", "reason_joints"}
-    for name, raw_name in LATERAL.items():
+    where = dict.fromkeys(c_fields("lateral_state"), raw.lateral)
+    where |= dict.fromkeys(c_fields("steering_state"), raw.steering)
+    for name in set(python_fields(Snapshot)) - apart:
         value = getattr(made, name)
-        assert value == type(value)(getattr(raw.lateral, raw_name)), name
-    for name, raw_name in STEERING.items():
-        value = getattr(made, name)
-        assert value == type(value)(getattr(raw.steering, raw_name)), name
-    for name in set(python_fields(Snapshot)) - apart - set(LATERAL) - set(STEERING):
-        value = getattr(made, name)
-        assert value == type(value)(getattr(raw, name)), name
+        assert value == type(value)(getattr(where.get(name, raw), name)), name
     assert len(made.joints) == 3
     for index, joint in enumerate(made.joints):
         for name in python_fields(JointSnapshot):
@@ -185,7 +164,7 @@ def test_the_joints_of_a_reason_are_named_while_it_holds(place):
 def test_joints_whose_position_is_not_known_are_named():
     raw = raw_state()
     raw.reasons = lib.REASON_POSITION_UNKNOWN
-    raw.steering.unknown = 0b110
+    raw.steering.position_unknown = 0b110
     assert rt._snapshot(raw).reason_joints == {"position_unknown": (1, 2)}
 
 

@@ -174,7 +174,7 @@ class Mecanum(Rig):
     def speeds_u_s(self):
         shown = self.shown
         setpoints = shown.setpoint_linear_m_s, shown.setpoint_angular_rad_s
-        return [*setpoints, shown.lateral.setpoint_m_s]
+        return [*setpoints, shown.lateral.setpoint_lateral_m_s]
 
     def goals_u_s(self):
         command = self.input.command

@@ -65,8 +65,7 @@ def _families(body: Body, view: View | None) -> Iterator[Family]:
         yield from _loop(view.status)
         yield from _lines(view.status)
         yield from _commands(view.status)
-        if up:
-            yield from _battery(view.battery())
+        yield from _battery(view.battery())
 
 
 STALE_S = 1.0
