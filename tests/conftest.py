@@ -5,7 +5,6 @@ them in `make san`. Programs that tests start use bytecode: without it, each of 
 compiles a hundred modules again."""
 
 import contextlib
-import gc
 import functools
 import gc
 import os
