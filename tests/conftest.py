@@ -149,7 +149,6 @@ def pytest_configure(config):
 
 @contextlib.contextmanager
 def _no_descriptor_left():
-    gc.collect()  # what other tests left open would be closed in the block
     limits = resource.getrlimit(resource.RLIMIT_NOFILE)
     with open(os.devnull, "rb") as free:
         lowest = free.fileno()

@@ -166,6 +166,8 @@ async def test_udp_to_an_invalid_name_is_reported_and_goes_on(caplog):
 
 async def test_udp_without_a_socket_is_reported_and_goes_on(caplog, no_descriptor_left):
     publisher = UdpPublisher("mine", UdpPublish(kind="udp"))
+    # the first look-up of a process loads modules from files
+    await asyncio.get_running_loop().getaddrinfo("127.0.0.1", 1)
     with no_descriptor_left():
         await feeding(SnapshotFeed("r2", 1000.0), publisher, lambda: bool(caplog.records))
     assert "no socket for 127.0.0.1: Too many open files" in caplog.text
