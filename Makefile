@@ -90,9 +90,9 @@ test-all: WORKERS = 8
 test-all: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTEST) $(ARGS)
 
-# For the inner loop: no other process, no simulated robot.
+# For the inner loop: no other process, no simulated robot, no test of the suite itself.
 test-fast: $(VENV)/built $(VENV)/test
-	@FAST=1 $(PYTHON) -m pytest -q -n 4 --dist loadgroup tests/unit $(ARGS)
+	@FAST=1 $(PYTHON) -m pytest -q -n 4 --dist loadgroup tests/unit --ignore tests/unit/suite $(ARGS)
 
 check: $(VENV)/built $(VENV)/check
 	@$(VENV)/bin/ruff format --check . >&2
