@@ -3,9 +3,9 @@
  * api_command.h: the part of the border through which commands come in. Read after api.h, and like
  * it: typedefs, enums, comments and prototypes, no preprocessor line. */
 
-/* ------------------------------------------------------------------------------------ commands The
- * loop's thread decides which source commands, by the same rules for every source: a command is a
- * datagram under a lease. Python starts and ends leases; which of them is in command, and whether
+/* ------------------------------------------------------------------------------------ commands
+ * The loop's thread decides which source commands, by the same rules for every source: a command is
+ * a datagram under a lease. Python starts and ends leases; which of them is in command, and whether
  * it may move anything, is decided here. */
 enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_MAGIC = 0x434D544D };
 enum { COMMAND_VERSION = 2, COMMAND_VERSION_PLANE = 1, COMMAND_VERSION_POSITIONS = 3 };
