@@ -38,7 +38,7 @@ def _taking(check: Check, default: Any) -> Any:
 def number(
     low: float = -math.inf, high: float = math.inf, *, whole: bool = False, default: Any = MISSING
 ) -> Any:
-    """Declare a finite number within low..high. Where the default is None, null is taken too."""
+    """Declare a finite number within low..high. A default of None allows null, too."""
     span = f" of {low:g} to {high:g}" if math.isfinite(low) and math.isfinite(high) else ""
 
     def check(value: Any) -> float | None:

@@ -74,7 +74,7 @@ def _ping_all(port: OpenPort, units: list[int]) -> list[int]:
 
 
 def _profile(port: OpenPort, kind: str, unit: int) -> str:
-    """Return the first profile of this kind with the servo's model number; "": there is none."""
+    """Return the first profile of this kind with the servo's model number; "": no such profile."""
     packets = packets_of(kind)
     for name, path in list_profiles().items():
         try:

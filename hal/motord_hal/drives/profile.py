@@ -287,8 +287,8 @@ class Watchdog:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultBit:
-    """One fault: either a bit of the fault word or, on drives with numbered faults, a code. The
-    other field is None."""
+    """One fault: either a bit of the fault word or, on drives with numbered faults, a code. Only
+    one of the two fields has a value."""
 
     bit: int | None
     code: int | None = None

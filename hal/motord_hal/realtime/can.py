@@ -109,7 +109,7 @@ class CanThread(LineThreadHandle):
         return self._ordered[drive]
 
     def take(self) -> Received | None:
-        """Return the next frame that the thread passes to Python; None: there is none now."""
+        """Return the next frame that the thread passes to Python; None: no frame waits."""
         raw = self._received
         if lib.can_take_received(self._line, raw) != 1:
             return None

@@ -29,8 +29,8 @@ class LineCounters:
         self._round_trip = thread.round_trips()
 
     def stats(self, report: LineReport | None, thread: LineThread) -> LineStats:
-        """Return the sums, without what the line itself counts (reopenings, port errors). `report`
-        is None if no thread runs."""
+        """Return the sums, without what the line itself counts (reopenings, port errors). `report`:
+        of the thread; None if no thread runs."""
         stats = LineStats(
             exchanges=self._exchanges,
             cycles=self._cycles,

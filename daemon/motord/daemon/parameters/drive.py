@@ -26,8 +26,8 @@ WITHIN_S = 4.0
 
 
 def listed(lines: Iterable[Line]) -> dict[str, dict[str, Any]]:
-    """Return unit, range, access and source of every register that can be read. Its value is None,
-    as this does not read the drive."""
+    """Return unit, range, access and source of every register that can be read. The value of
+    each is missing (None), because the drive is not read."""
     return {
         f"{PREFIX}{joint.name}.{register.name}": _about(joint, register)
         for _, joint in _joints(lines)

@@ -29,8 +29,8 @@ class CyclictestError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class CyclictestResult:
-    """The result of cyclictest. `spread_us` is None if there is none: `note` is then the reason,
-    else the command line."""
+    """The result of cyclictest. Without a measurement, `spread_us` has no value (None) and `note`
+    is the reason; else `note` is the command line."""
 
     spread_us: Spread | None
     histogram: tuple[Bar, ...]

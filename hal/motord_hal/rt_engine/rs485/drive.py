@@ -114,7 +114,7 @@ class RtDrive(abc.ABC):
 
     def _hint(self) -> str:
         """Return another possible reason why the drive is unresponsive, which its medium shows;
-        empty: there is none known."""
+        empty: no other reason is known."""
         return ""
 
     @abc.abstractmethod

@@ -122,7 +122,7 @@ def step_frames(frames: DriveFrames, steps: Iterable[Step]) -> tuple[LineFrame, 
 
 def _probe(cyclic: Sequence[PlannedFrame]) -> int:
     """Return 1 + the number of the first exchange that only reads, to poll an unresponsive drive;
-    0: there is none, and C selects one."""
+    0: no exchange only reads, and C selects one."""
     return next((n for n, planned in enumerate(cyclic, 1) if not planned.writes), 0)
 
 

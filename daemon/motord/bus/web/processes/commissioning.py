@@ -62,8 +62,8 @@ class Commissioning:
         """The page that conducts the procedure; None: it is gone, or no procedure was started."""
         self.record: dict[str, Any] | None = None
         """What pages show of the newest procedure: `run`, which is unique, `procedure`, `page`,
-        `shown`, `question`, and `end`, which is None until the procedure is over. None: no
-        procedure was started."""
+        `shown`, `question`, and `end` (None until the procedure is over). None: no procedure
+        was started."""
 
     @property
     def running(self) -> str | None:

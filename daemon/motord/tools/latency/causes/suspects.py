@@ -230,8 +230,8 @@ class Case:
         )  # fmt: skip
 
     def _interrupt(self) -> str:
-        """Return the interrupt that comes more often when ticks are late, on a CPU with late ticks;
-        "": there is none."""
+        """Return the interrupt that comes more often when ticks are late, on a CPU with late ones;
+        "": no such interrupt."""
         worst = ("", 0.0)
         for (kind, cpu, name), count in self.late_counts.items():
             if kind not in ("interrupt", "softirq") or cpu not in self.cpus or self.calm_s == 0.0:
