@@ -11,7 +11,7 @@ from motord.config.rules.wiring.wire import budget
 from motord.config.sections.bases import JointsBase, wheel_row
 from motord.config.sections.joint.limits import JointLimits
 from motord.config.sections.joint.wheels import rad_per_count, takes_position, velocity_range_rad_s
-from motord.config.sections.limits import LATERAL_KEYS, braking_s
+from motord.config.sections.limits import LATERAL_KEYS
 from motord.config.sections.model import Robot
 from motord.config.sections.section import Section
 from motord.config.wiring import line_specs
@@ -46,7 +46,7 @@ class FreeJoint:
     velocity_max_rad_s: float
     acceleration_rad_s2: float
     stop_time_s: float
-    """Time of a stop from full speed."""
+    """Longest time of a stop, from the joint's velocity_max_rad_s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,7 +147,6 @@ def _free_joint(robot: Robot, name: str) -> FreeJoint:
     joint, profile = robot.joint[name], robot.profiles[robot.joint[name].drive]
     low_rad_s, high_rad_s = velocity_range_rad_s(joint, profile)
     takes = takes_position(joint, profile)
-    limits = JointLimits.of(joint)
     return FreeJoint(
         joint=name,
         takes="position" if takes else "velocity",
@@ -156,9 +155,7 @@ def _free_joint(robot: Robot, name: str) -> FreeJoint:
         velocity_min_rad_s=low_rad_s,
         velocity_max_rad_s=high_rad_s,
         acceleration_rad_s2=joint.acceleration_max_rad_s2,
-        stop_time_s=braking_s(
-            max(high_rad_s, -low_rad_s), limits.deceleration_max_rad_s2, limits.jerk_max_rad_s3
-        ),
+        stop_time_s=JointLimits.of(joint).rest_s(),
     )
 
 
