@@ -84,8 +84,8 @@ test: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTEST) --without-long $(ARGS)
 	$(if $(ARGS),,@echo "$(LEFT_OUT)" >&2)
 
-# Also the tests marked `long`, and those with programs of others: tests/conftest.py. These wait
-# less: with more workers, two slow processors are late, and tests run again.
+# Also the tests marked `long`, and those with programs of others: tests/conftest.py. They need more
+# of the processors than the rest: more workers would make two slow ones late, and tests run again.
 test-all: WORKERS = 8
 test-all: $(VENV)/built $(VENV)/test $(VENV)/collected
 	@$(PYTEST) $(ARGS)
