@@ -11,22 +11,24 @@ ARGS ?=
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-all test-fast check san bench soak fuzz mutants coverage wheel deb vm \
-	arm64 walk clean
+	roots arm64 walk clean
 
 help:
 	@echo "make demo      drive a simulated robot         make demo ARGS=\"--json --seconds 20\"" >&2
-	@echo "make test      all but the long tests: 5 min   make test ARGS=\"tests/unit -k wrap\"" >&2
-	@echo "make test-all  the long ones, too: 12 min      make test-fast  the inner loop: a minute" >&2
+	@echo "make test      all but the long tests: 8 min   make test ARGS=\"tests/unit -k wrap\"" >&2
+	@echo "make test-all  the long ones, too: 25 min      make test-fast  the inner loop: a minute" >&2
 	@echo "make check     format, lint, types, imports    make san    sanitizers" >&2
 	@echo "make coverage  the tests, and what they miss   make bench  the wire, rivals, latency \
 	(ARGS=--quick, --smoke)" >&2
 	@echo "make soak      faults on a moving robot        make soak ARGS=\"--faults 500 --seed 7\"" >&2
-	@echo "make fuzz      C, guard, socket, robot files   make fuzz RUNS=1000000 SEED=7" >&2
+	@echo "make fuzz      C, guard, files, recordings      make fuzz RUNS=1000000 SEED=7" >&2
 	@echo "make mutants   are the C tests good?           make mutants FILE=\"arbiter.c page.c\" \
 	SAMPLE=50" >&2
 	@echo "make wheel     a wheel in dist/                make deb    a Debian package in dist/" >&2
 	@echo "make vm        real kernel drivers in QEMU     make vm ARGS=\"-k unplugged\" \
 	(root, Debian 12)" >&2
+	@echo "make roots     demo and test in bare systems   make roots ARGS=\"--demo trixie\" \
+	(root)" >&2
 	@echo "make arm64     unit, rt and C tests on aarch64 (root, Debian 12)" >&2
 	@echo "make walk      record docs/first-drive.md on simulated drives" >&2
 	@echo "make clean     all that make made" >&2
@@ -116,8 +118,8 @@ san: $(VENV)/built $(VENV)/test
 		$(PYTHON) setup.py --quiet build_ext --build-lib build/ubsan --build-temp build/ubsan/temp >&2
 	@MOTORD_RT_DIR=build/ubsan $(PYTHON) -m pytest -q -n 2 --dist loadgroup tests/rt
 
-# Python lines by coverage.py, also in the processes that the tests start; C lines of the pure files
-# by gcov.
+# Python lines by coverage.py, also in the processes that the tests start; lines and branches of
+# each C file by gcov, against tests/c/coverage.toml.
 coverage: $(VENV)/built $(VENV)/test
 	@$(MAKE) -C tests/c coverage PYTHON=$(abspath $(PYTHON)) >&2
 	@rm -f .coverage .coverage.*
@@ -159,6 +161,10 @@ deb: $(VENV)/built
 # Builds the guest, boots it once, runs tests/vm/guest there; or prints why it cannot, and succeeds.
 vm: $(VENV)/built
 	@$(PYTHON) tests/vm/run.py $(ARGS)
+
+# The README's commands in bare roots of Debian 12 and 13; or a reason, and success.
+roots:
+	@tests/roots.sh $(ARGS)
 
 # tests/unit, tests/rt and tests/c on aarch64, by QEMU.
 arm64: $(VENV)/made

@@ -29,11 +29,13 @@ U32 = int
 Doubles3 = tuple[float, ...]
 Doubles6 = tuple[float, ...]
 Doubles8 = tuple[float, ...]
+Stamps8 = tuple[int, ...]
 Reasons = tuple[str, ...]
 Faults = tuple[str, ...]
 FirstFault = str
 DeratedBy = str
 GyroState = str
+RestWord = str
 '''
 CLASSES = (
     ("joint_state", "JointSnapshot", "State of one joint. NaN, None: not reported by its drive."),
@@ -46,6 +48,8 @@ CLASSES = (
     ("robot_state", "PlainSnapshot", "State of the robot as a whole, without its sub-structures."),
     ("lateral_state", "LateralSnapshot(PlainSnapshot)", "Adds the values of motion sideways."),
     ("steering_state", "SteeringSnapshot(LateralSnapshot)", "Adds joints that take positions."),
+    ("rest_shown", "RestSnapshot(SteeringSnapshot)", "Adds whether the robot rests."),
+    ("counters_shown", "CountersSnapshot(RestSnapshot)", "Adds what is wrong with counters."),
 )
 KINDS = {
     "int64_t": (8, "I64"), "uint64_t": (8, "U64"), "uint32_t": (4, "U32"), "double": (8, "float"),
@@ -58,6 +62,7 @@ MEANINGS = {
     "FAULT_*; 0: there is none": "FirstFault",
     "GYRO_*": "GyroState",
     "DERATED_BY_*": "DeratedBy",
+    "REST_*": "RestWord",
 }
 """Beginning of a field's comment → type of the field in Python."""
 JSON = {
@@ -109,7 +114,8 @@ def records() -> str:
         for kind, field, count, comment in fields(struct):
             if kind in KINDS and field != "joint_count":
                 key = next((key for key in MEANINGS if comment.startswith(key)), "")
-                python = f"Doubles{count}" if count else MEANINGS.get(key, KINDS[kind][1])
+                array = f"{'Stamps' if kind == 'int64_t' else 'Doubles'}{count}"
+                python = array if count else MEANINGS.get(key, KINDS[kind][1])
                 line = f"    {field}: {JSON[python] if name.endswith('Status') else python}"
                 if note := comment.removeprefix(key):
                     line = textwrap.fill(f"{line}  # {note}", 100, subsequent_indent="    # ")

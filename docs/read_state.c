@@ -22,8 +22,11 @@ int main(int argc, char **argv)
     const uint8_t *page = mmap(NULL, PAGE_BYTES, PROT_READ, MAP_SHARED, fd, 0);
     /* 2 layout, 3 payload, 4 slots, 5 stride, 6 offset, 7 pid */
     const uint32_t *head = (const uint32_t *)page;
+    /* a damaged header must not lead past the end of the mapping */
     if (page == MAP_FAILED || memcmp(page, magic, sizeof magic) != 0 ||
-        head[2] != PAGE_LAYOUT_VERSION || head[3] < sizeof(robot_state)) {
+        head[2] != PAGE_LAYOUT_VERSION || head[3] < sizeof(robot_state) || head[4] == 0 ||
+        head[5] % 8 != 0 || head[6] % 8 != 0 || head[5] < 8 || head[5] - 8 < head[3] ||
+        head[6] < 64 || head[6] > PAGE_BYTES || head[4] > (PAGE_BYTES - head[6]) / head[5]) {
         return fprintf(stderr, "%s: not a page that this program knows\n", path), 1;
     }
     for (int try = 0; try < 100; try++) {

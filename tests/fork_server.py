@@ -3,10 +3,11 @@
 take longer than most tests of the program.
 
 `install` replaces the one function by which `subprocess` starts a program. For `python -m motord`,
-`motord.config`, `motord.bus` and a peer of the tests it uses the fork server; for all else, and
-wherever a forked process would differ from one started by exec, it uses exec. The forked process
-becomes a child of the requesting process: the server is its child and forks twice, and the nearest
-ancestor that is a subreaper adopts the process (PR_SET_CHILD_SUBREAPER in prctl(2)).
+`motord.config`, `motord.bus` and a peer of the tests, also with -P, it uses the fork server; for
+all else, and wherever a forked process would differ from one started by exec, it uses exec. The
+forked process becomes a child of the requesting process: the server is its child and forks twice,
+and the nearest ancestor that is a subreaper adopts the process (PR_SET_CHILD_SUBREAPER in
+prctl(2)).
 
 A program that starts programs of its own, as the daemon does, gets a server of its own, forked
 before it has threads. A program that setsid(1) starts at a terminal of its own, `AT_TERMINAL`, is
@@ -70,6 +71,9 @@ _NETWORK, _MOUNTS = "/proc/thread-self/ns/net", "/proc/thread-self/ns/mnt"
 _LIMITS = [getattr(resource, name) for name in dir(resource) if name.startswith("RLIMIT_")]
 _libc = ctypes.CDLL(None, use_errno=True)
 _real = subprocess._fork_exec
+subprocess._USE_POSIX_SPAWN = False  # Python 3.13 would start most programs past _fork_exec
+_path = sys.path[1:]
+"""Where the server looks for modules; before that comes the current folder, without -P."""
 _PYTHON = sys.executable
 """The real interpreter: a test may put another program in the place of sys.executable."""
 _read = []
@@ -126,6 +130,8 @@ def _request(given):
     if terminal:
         words = words[len(AT_TERMINAL) :]
         programs = words[:1]
+    safe = words[1:2] == ["-P"]
+    words = words[:1] + words[2:] if safe else words
     plain = close_fds and (gid, gids, uid, umask, preexec) == (None, None, None, -1, None)
     if not plain or words[1:2] != ["-m"] or words[2:3] not in ([name] for name in MODULES):
         return None
@@ -136,7 +142,8 @@ def _request(given):
     if not all(os.path.exists(f"/proc/self/fd/{fd}") for fd in standard):
         return None
     return {
-        "module": words[2], "words": words[3:], "cwd": os.fsdecode(cwd or os.getcwd()),
+        "module": words[2], "words": words[3:], "safe": safe,
+        "cwd": os.fsdecode(cwd or os.getcwd()),
         "environ": _environ(env), "from": standard + passed, "to": [0, 1, 2, *passed],
         "new_session": bool(new_session) or terminal, "terminal": terminal, "group": group,
     }  # fmt: skip
@@ -314,9 +321,9 @@ def _become(request, fds, end):
     os.chdir(request["cwd"])
     os.environ.clear()
     os.environ.update(request["environ"])
-    sys.path[0] = os.getcwd()
+    sys.path[:] = _path if request["safe"] else [os.getcwd(), *_path]
     sys.argv = [request["module"], *request["words"]]
-    _show_as([sys.executable, "-m", *sys.argv])
+    _show_as([sys.executable, *["-P"] * request["safe"], "-m", *sys.argv])
     client = None
     starts = request["module"] in ("motord", HOGGED) and "".join(request["words"][:1]) in STARTS
     if starts:

@@ -195,11 +195,24 @@ def test_the_daemon_never_forks():
            "a fork costs the real-time thread about 600 page faults")  # fmt: skip
 
 
+def test_one_module_builds_the_command_lines_of_python_processes():
+    """`python -m` alone runs files of the folder in which a command was typed."""
+    builder = ROOT / "daemon/motord/base/python_command.py"
+    others = [path for path in PRODUCT if path != builder]
+    words = r"""["'](-m|-c)["']|sys\.executable *[,+\]]"""
+    assert matching([builder], words), "the command lines of Python processes have moved"
+    report(matching(others, words), "module_command() and script_command() keep that folder out")
+
+
+def test_data_of_other_processes_cannot_run_code():
+    modules = r"\b(import|from) (pickle|marshal|shelve|dill)\b|\b(pickle|marshal)\."
+    report(matching(PRODUCT, modules), "JSON, or motord/config/transfer.py")
+
+
 def test_every_task_belongs_to_a_group():
-    report(
-        matching(PRODUCT, r"ensure_future|(asyncio|loop|get_running_loop\(\))\.create_task"),
-        "a task outside a TaskGroup outlives its owner",
-    )
+    words = r"ensure_future|(asyncio|loop|get_running_loop\(\))\.create_task|asyncio\.TaskGroup"
+    others = [path for path in PRODUCT if path != ROOT / "hal/motord_hal/base/tasks.py"]
+    report(matching(others, words), "a task belongs to a motord_hal.base.tasks.TaskGroup")
 
 
 def test_no_error_is_swallowed():

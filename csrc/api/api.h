@@ -141,6 +141,10 @@ typedef struct {
     uint32_t counter_bits; /* 8, 12, 15, 16, 24, 32, 64; 0: no counter: odometry from measured
                               velocity or set-point */
     uint32_t line;         /* 0..LINES_MAX-1: the line of this joint */
+    uint32_t unmeasured;   /* 1: nothing measures whether this joint turns, so its set-point counts
+                              for its rest */
+    uint32_t counter_mantissa_bits; /* 24: the counter is made of a 32-bit floating-point number,
+                                       whose steps grow with it; 0: it has steps of one count */
     pwm_config pwm;
     speed_loop_config speed_loop;
     plausible_config plausible;
@@ -264,6 +268,7 @@ typedef struct {
     uint32_t reserved;
 } setpoints;
 
+/* What was measured is NaN, and `enabled` is 2, while the joint is stale. */
 typedef struct {
     double position_rad;   /* sum of all counted turns since start, never jumps */
     double velocity_rad_s; /* measured, NaN before the first measure */
@@ -273,10 +278,10 @@ typedef struct {
     double voltage_v;
     double temperature_c;
     double feedback_age_s; /* INFINITY: never received */
-    uint32_t drive_faults;
-    uint32_t enabled; /* 1, 0, or 2: the drive cannot say */
-    uint32_t stale;   /* 1: older than feedback_timeout_s */
-    uint32_t jumps;   /* counter jumps refused so far */
+    uint32_t drive_faults; /* as received last */
+    uint32_t enabled;      /* 1, 0, or 2: the drive cannot say */
+    uint32_t stale;        /* 1: older than feedback_timeout_s */
+    uint32_t jumps;        /* counter jumps refused so far */
 } joint_state;
 
 /* Further values of a base that moves sideways; zero for other bases, except the slip. */
@@ -287,7 +292,7 @@ typedef struct {
     double lateral_m_s; /* measured, positive to the left */
     double slip_m_s; /* root mean square of the rims' speeds that no motion of the base explains */
     double lateral_covariance[3]; /* of the measured twist: vx vy, vy vy, vy w in m2/s2, m2/s2,
-                                     m rad/s2 */
+                                     m rad/s2; NaN: as linear_m_s */
 } lateral_state;
 
 /* State of joints that take positions; zero if there are no such joints. */
@@ -299,6 +304,27 @@ typedef struct {
                                   angle */
     uint32_t position_unknown; /* bit n: the position of joint n is unknown */
 } steering_state;
+
+/* Whether the robot rests. TURNING: a set-point is not zero, or a wheel was measured to turn.
+ * UNKNOWN: neither, but a joint was not seen at rest: it is stale, measures no number, or its
+ * feedback is not trusted (FAULTS_OF_FEEDBACK). */
+enum { REST_UNKNOWN = 0, REST_TURNING = 1, REST_AT_REST = 2 };
+
+typedef struct {
+    int64_t rest_unknown_since_ns[JOINTS_MAX]; /* tick since which it is unknown whether joint n
+                                                  turns; 0: it is known */
+    uint32_t rest;                             /* REST_* */
+    uint32_t rest_unmeasured; /* bit n: nothing measures joint n: its set-point counts */
+} rest_shown;
+
+/* What is wrong with the joints' counters. */
+typedef struct {
+    uint32_t counter_coarse;     /* bit n: joint n's counter is made of a floating-point number, and
+                                    has gone so far that one of its steps is more than a wheel at
+                                    rest may turn in 0.2 s: its drive has to be restarted */
+    uint32_t counter_distrusted; /* bit n: the odometry leaves joint n's counter out until the
+                                    reset: see FAULT_IMPLAUSIBLE_FEEDBACK */
+} counters_shown;
 
 enum { PAGE_LAYOUT_VERSION = 1 };
 /* The snapshot: the state of the core after a tick, and the payload of the state page. A new layout
@@ -312,8 +338,8 @@ typedef struct {
     uint32_t faults;  /* FAULT_*, latched */
     uint32_t armed;   /* 1: the core itself is armed */
     uint32_t enabled; /* 1: the drives are to have power */
-    uint32_t at_rest; /* 1: set-points are zero and every fresh wheel is slower than
-                         rest_velocity_rad_s */
+    uint32_t at_rest; /* 1: set-points are zero and every wheel was seen slower than
+                         rest_velocity_rad_s; 0: it turns, or that is unknown: see rest_shown */
     uint32_t joint_count;
     uint32_t odometry_degraded; /* 1: a wheel is stale, or has no counter */
     uint32_t odometry_epoch;    /* odometry resets so far */
@@ -330,10 +356,10 @@ typedef struct {
     double heading_rad; /* -pi..pi */
     double distance_m;  /* travelled, in any direction; never falls */
     double turned_rad;  /* sum of |turn|, never falls */
-    double linear_m_s;  /* measured */
+    double linear_m_s;  /* measured; NaN: the wheels with fresh feedback do not determine it */
     double angular_rad_s;
     double pose_covariance[6];  /* xx, xy, xh, yy, yh, hh in m2, m rad, rad2 */
-    double twist_covariance[3]; /* vv, vw, ww */
+    double twist_covariance[3]; /* vv, vw, ww; NaN: as linear_m_s */
     joint_state joint[JOINTS_MAX];
     imu_state imu;
     feedback_doubt doubt; /* the first of FAULTS_OF_FEEDBACK, until the reset */
@@ -342,4 +368,6 @@ typedef struct {
     speed_loop_shown speed_loop[JOINTS_MAX];
     derating_shown derating;
     reasons_shown reason; /* start time of each of `reasons` */
+    rest_shown rest;
+    counters_shown counters;
 } robot_state;

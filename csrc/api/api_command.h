@@ -9,6 +9,7 @@
  * it may move anything, is decided here. */
 enum { LEASES_MAX = 16, TOKEN_BYTES = 16, COMMAND_MAGIC = 0x434D544D };
 enum { COMMAND_VERSION = 2, COMMAND_VERSION_PLANE = 1, COMMAND_VERSION_POSITIONS = 3 };
+enum { POSITIONS_CLAMP = 0x40000000 };
 enum {
     COMMAND_BYTES = 72,
     COMMAND_BYTES_PLANE = 64,
@@ -18,12 +19,20 @@ enum {
 
 typedef enum { COMMAND_TWIST = 1, COMMAND_RELEASE = 2, COMMAND_JOINTS = 3 } command_kind;
 
+/* Several senders may share a lease, for example the clients of one server. Their commands name
+ * them in the upper byte of `kind`. 0: the lease has one sender. SENDER_UNNAMED: one of several
+ * that the program cannot distinguish. */
+enum { SENDER_SHIFT = 8, SENDER_UNNAMED = 31, SENDERS_MAX = 32 };
+
+/* A source that has been silent for so long requests nothing any more: no lease lives longer. */
+enum { SOURCE_SILENT_S = 5 };
+
 /* One datagram, little-endian like the machine; see docs/commands.md. COMMAND_VERSION_PLANE ends
  * before lateral_m_s, which is 0. */
 typedef struct {
     uint32_t magic;             /* COMMAND_MAGIC: "MTMC" */
     uint16_t version;           /* COMMAND_VERSION, or COMMAND_VERSION_PLANE */
-    uint16_t kind;              /* command_kind */
+    uint16_t kind;              /* command_kind, and the sender << SENDER_SHIFT */
     uint8_t token[TOKEN_BYTES]; /* token of the lease */
     uint64_t sequence;          /* greater than the previous one, modulo 2^64; never 0 */
     int64_t stamp_ns;           /* CLOCK_MONOTONIC when the command was given */
@@ -56,7 +65,8 @@ typedef struct {
     double position_rad[JOINTS_MAX];
     uint32_t velocities; /* bit n: velocity_rad_s[n] is used; else joint n comes to rest */
     uint32_t positions;  /* bit n: position_rad[n] is used; else joint n continues to the position
-                            that this lease gave it */
+                            that this lease gave it. POSITIONS_CLAMP: a position beyond the range of
+                            its joint means the end of the range */
 } joint_position_datagram;
 
 typedef struct {
@@ -67,13 +77,13 @@ typedef struct {
     int64_t lifetime_ns;       /* longest lifetime of a command under it */
     int64_t interval_least_ns; /* commands that come more often are refused, except zero; 0: no
                                   limit */
-    int64_t barred_until_ns; /* the owner was held when another of its leases ended: until this time
-                                this lease is held, too, if its next command is motion. Only a later
-                                time replaces it */
+    int64_t barred_ns; /* another lease of the owner was held at this time, and has ended: this
+                          lease is held from then on, too. Only a later time counts; 0: never */
 } lease_permission;
 
 typedef struct {
     lease_permission lease[LEASES_MAX];
+    uint64_t releases; /* grows when a person lets all held leases go on */
 } lease_permissions;
 
 typedef enum {
@@ -86,14 +96,16 @@ typedef enum {
     REFUSED_JOINTS = 6, /* wrong number of joints, or a command that these joints cannot carry out:
                            the lease then commands zero */
     REFUSED_RATE = 7,   /* more often than the lease allows; the previous command stays in force */
-    REFUSED_OUT_OF_RANGE = 8, /* more than ten times the limit: the lease then commands zero */
+    REFUSED_OUT_OF_RANGE = 8, /* a speed of more than ten times its limit, or a position beyond its
+                                 range: the lease then commands zero */
     REFUSAL_KINDS = 9
 } command_refusal;
 
 /* The state of a lease. */
 typedef struct {
     uint32_t number; /* 0: no lease */
-    uint32_t held;   /* its command counts as zero until it has requested zero */
+    uint32_t held;   /* its command counts as zero until its sender requests zero, gives the command
+                        back, or a person lets it go on; silence alone does not end it */
     uint32_t fresh;  /* a command under it is valid */
     uint32_t priority;
     uint64_t since;    /* order in which the leases became active; among equals the lowest
@@ -104,14 +116,33 @@ typedef struct {
     int64_t taken_ns;    /* time when it came */
     int64_t interval_ns; /* smoothed time between commands; 0: fewer than two have come */
     int64_t due_ns;      /* earliest time of the next command, at the allowed rate */
-    int64_t lifted_ns;   /* newest barred_until_ns that `held` already includes; 0: none */
+    int64_t barred_ns;   /* newest barred_ns of its permission that `held` includes; 0: none */
+    int64_t held_ns;     /* when the first of its senders that are held was held */
     double linear_m_s;   /* the requested motion */
     double angular_rad_s;
     double lateral_m_s;
     joint_command joints;
-    uint32_t wants_motion; /* whether it requests anything but zero */
-    uint32_t reserved;
+    uint32_t wants_motion; /* whether its newest command requests anything but zero */
+    uint32_t open;   /* a sender requested motion, and neither zero nor its end since, however long
+                        ago */
+    uint32_t lapses; /* commands in a row that came after the one before had lapsed unended */
+    uint32_t senders_held; /* number of its senders that are held, silent ones included */
 } lease_state;
+
+/* A sender under a lease. */
+typedef struct {
+    int64_t taken_ns;  /* when its newest command came; 0: none has */
+    int64_t motion_ns; /* when it requested motion for the last time; 0: never */
+    int64_t held_ns;   /* when it was held; 0: it is not held */
+    uint32_t open;     /* as that of lease_state */
+    uint32_t zero;     /* whether its newest command was zero, or gave the command back */
+} sender_state;
+
+typedef struct {
+    sender_state sender[SENDERS_MAX];
+    uint32_t newest; /* sender of the lease's newest command */
+    uint32_t reserved;
+} lease_senders;
 
 typedef struct {
     uint32_t commander; /* number of the lease in command; 0: no lease */
@@ -134,6 +165,7 @@ typedef struct {
     int64_t last_stamp_ns; /* stamp of the previous command */
     int64_t resumed_ns;    /* commands from before this time are refused; 0: the computer was never
                               suspended */
+    lease_senders senders[LEASES_MAX];
     command_report report;
 } arbiter;
 
@@ -144,6 +176,8 @@ void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits
 void arbiter_grant(arbiter *a, const lease_permissions *permissions);
 /* Take a command. Returns 0, or 1 + command_refusal. */
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move);
+/* The robot was armed: let the senders go on that have been silent for SOURCE_SILENT_S or more. */
+void arbiter_arm(arbiter *a, int64_t now_ns);
 /* Drop the commands from before a suspend of the computer. */
 void arbiter_resume(arbiter *a, int64_t resumed_ns);
 /* Decide once a tick, after new commands were submitted, which lease commands, and what. */

@@ -49,14 +49,36 @@ typedef struct {
     uint32_t reserved;
     /* smoothed part of each rim's speed that no motion of the base explains */
     double residual_m_s[JOINTS_MAX];
-    double slip_m_s;     /* root of their mean square */
-    double linear2_m2_s; /* growth of the covariance of the motion in the base's frame */
-    double linear_angular_m_rad_s;
-    double angular2_rad2_s;
-    double lateral2_m2_s;
-    double linear_lateral_m2_s;
-    double lateral_angular_m_rad_s;
+    double slip_m_s; /* root of their mean square */
 } spread_state;
+
+/* The twist at one moment, and the travel of the base up to it, along its own axes. */
+typedef struct {
+    int64_t stamp_ns;
+    double travel_u[AXES];
+    double by_travel_u_s[AXES]; /* measured by the travel over the window */
+    double by_drives_u_s[AXES]; /* measured by the speeds that the drives report; 0 without */
+    double twist_u_s[AXES];     /* what was published */
+    uint32_t reported;          /* 1: by_drives_u_s is known */
+    uint32_t reserved;
+} speed_look;
+
+enum { LOOKS = 64 };
+/* The measured twist and its errors, as seen a moment later: see speed.c. */
+typedef struct {
+    speed_look look[LOOKS]; /* a ring */
+    double travel_u[AXES];  /* travel of the base since the start */
+    /* mean square errors of both measures */
+    double travel2_u2_s2[AXES];
+    double drives2_u2_s2[AXES];
+    double twist2_u2_s2[6];        /* mean products of the published twist's errors */
+    double reference2_u2_s2[AXES]; /* part of them that is the reference's own error */
+    int64_t seen_ns;               /* stamp of the newest look whose error was seen */
+    uint32_t newest;               /* index of the newest look */
+    uint32_t looks;                /* number of looks */
+    uint32_t seen;                 /* number of errors that were seen, up to 1000 */
+    uint32_t reserved;
+} speed_state;
 
 /* Whether the base can move sideways: a wheel has rollers, or all are steered. */
 bool kinematics_strafes(const core_config *config);
@@ -103,6 +125,9 @@ typedef struct {
     uint32_t blind;   /* 1: the wheels that send feedback do not determine the motion, so nothing is
                          integrated */
     uint32_t by_gyro; /* 1: the last turn was by the gyro */
+    uint32_t twist_known; /* 1: the twist was measured, and the motion not lost since */
+    uint32_t distrusted;  /* bit n: FAULT_IMPLAUSIBLE_FEEDBACK says that the counter of joint n is
+                             wrong: its travel is left out */
     double x_m;
     double y_m;
     double heading_rad;
@@ -115,6 +140,7 @@ typedef struct {
     double twist_covariance[3];
     double lateral_covariance[3];
     spread_state spread;
+    speed_state speed;
     twist_inverse used;           /* for the joints that brought the last travel */
     double angle_rad[JOINTS_MAX]; /* angles of joints that take positions; NaN: not known */
     double arc_rad[JOINTS_MAX];   /* the same angles at the end of the last arc */
@@ -196,24 +222,25 @@ typedef struct {
     uint32_t gains_seen;
     uint32_t joint_limits_seen;
     uint32_t faults;
-    uint32_t holding;   /* after a fault the drives stay enabled until rest; STOP_HOLD: until
-                           control.release or a reset */
-    uint32_t commanded; /* a fresh command has come since arming */
-    uint32_t silent;    /* a joint is stale */
-    uint32_t slow;      /* every wheel with feedback is slower than rest_velocity_rad_s */
-    uint32_t at_rest;   /* after the last tick */
-    uint32_t slewed;    /* 1: a joint has a duty slew */
-    uint32_t axes;      /* number of the base's axes: AXES, or without the last one, the lateral
-                           axis */
-    uint32_t steered;   /* 1: a base with modules */
-    uint32_t positions; /* 1: a joint takes positions */
-    uint32_t extras;    /* not 0: the base has positions, a gyro or speed loops */
+    uint32_t holding;     /* after a fault the drives stay enabled until rest; STOP_HOLD: until
+                             control.release or a reset */
+    uint32_t commanded;   /* a fresh command has come since arming */
+    uint32_t silent;      /* a joint is stale */
+    uint32_t doubted;     /* bit n: a fault says that the feedback of joint n is not trusted */
+    uint32_t joints_rest; /* REST_*, by what the joints measure */
+    uint32_t rest;        /* REST_* after the last tick */
+    uint32_t slewed;      /* 1: a joint has a duty slew */
+    uint32_t axes;        /* number of the base's axes: AXES, or without the last one, the lateral
+                             axis */
+    uint32_t steered;     /* 1: a base with modules */
+    uint32_t positions;   /* 1: a joint takes positions */
+    uint32_t extras;      /* not 0: the base has positions, a gyro or speed loops */
     /* bit n: joint n has a speed loop that its gains make do something */
     uint32_t loops;
     uint32_t derates;      /* 1: a joint may derate the base */
     int64_t armed_ns;      /* time of the tick that armed */
-    int64_t zero_since_ns; /* while holding: tick since which the set-points are zero; 0: they are
-                              not */
+    int64_t zero_since_ns; /* tick since which the set-points are zero, at the earliest that of the
+                              newest fault under power; 0: they are not */
 } core_state;
 
 /* Check a configuration. Returns NULL when it is good, else the name of the first bad field, such
@@ -222,6 +249,9 @@ const char *core_config_check(const core_config *config, char *name);
 const char *base_limits_check(const base_limits *limits, char *name);
 /* Set the core up: disarmed, at rest, with no fault. Returns 0 or -EINVAL. */
 int core_init(core_state *state, const core_config *config);
+/* Whether the power may go off as requested: the robot is at rest or, as that may never be seen,
+ * its set-points have been zero for two seconds. */
+bool core_may_power_off(const core_state *state, int64_t now_ns);
 /* Do one tick. Pure and deterministic: the same state, input and dt give the same bytes. `snapshot`
  * receives a copy of state->snapshot; NULL: the caller reads that. */
 void core_step(core_state *state, const core_input *input, double dt_s, setpoints *out,

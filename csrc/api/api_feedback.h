@@ -26,6 +26,7 @@ typedef struct {
     uint32_t jumps;
     double pending_rad; /* travel since the last integration */
     double position_rad;
+    double left_out_rad; /* the part of it that came while the counter was not trusted */
     double velocity_rad_s;
     double since_rad;         /* greatest turn of the wheel since `count` */
     double unused_rad;        /* unused reach from before */

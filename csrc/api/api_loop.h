@@ -108,7 +108,7 @@ typedef struct {
     double rate_hz;              /* 10..20000 */
     int32_t priority;            /* SCHED_FIFO 1..99; 0: SCHED_OTHER on request */
     uint32_t notify_every_ticks; /* eventfd is written at this interval, and when a reason to stand,
-                                    faults, armed or at_rest change */
+                                    faults, armed or rest change */
     uint64_t cpu_mask;           /* bit n: CPU n; 0: no affinity */
     /* shared memory of PAGE_BYTES, or -1 for a private page; the loop maps its own */
     int32_t page_fd;

@@ -42,6 +42,7 @@ drive_stop drive_end_stopping(drive_state *drive, bool at_rest, int64_t now_ns)
 drive_stop drive_lost_setup(drive_state *drive)
 {
     drive_take_back(drive, DRIVE_FAULT_LOST_SETUP, DRIVE_OFF);
+    drive->epoch++; /* it was without power: its counter may have begun again */
     return drive_power_off(drive);
 }
 
@@ -51,8 +52,12 @@ void drive_unresponsive(drive_state *drive)
     drive->stopping = drive->back = drive->off_due = false;
 }
 
-drive_stop drive_answers(drive_state *drive)
+drive_stop drive_answers(drive_state *drive, bool braking)
 {
+    if (braking) {
+        drive->mode = DRIVE_BACK;
+        return STOP_NOTHING;
+    }
     drive->back = true;
     return drive_power_off(drive);
 }
@@ -166,6 +171,9 @@ static void arm(drive_state *drive, const drive_view *view)
 static drive_request obey(drive_state *drive, uint32_t mode, bool stops, const drive_view *view)
 {
     if (mode == DRIVE_OFF) {
+        if (drive->mode == DRIVE_UNRESPONSIVE && !drive->back) {
+            return REQUEST_SEEN; /* its probes stop it, and send the power-off that it is owed */
+        }
         drive->mode = DRIVE_OFF;
         drive->back = false;
         return REQUEST_OFF;
@@ -203,8 +211,8 @@ drive_answer drive_obey(drive_state *drive, const mode_request *request, const d
     }
     answer.overtaken = request->count - drive->request_seen > 1;
     drive->request_seen = request->count;
-    bool powered =
-        drive->mode == DRIVE_ARMED || drive->stopping || drive->sent_motion || drive->off_due;
+    bool powered = drive->mode == DRIVE_ARMED || drive->mode == DRIVE_BACK || drive->back ||
+                   drive->stopping || drive->sent_motion || drive->off_due;
     if ((answer.overtaken || request->mode == DRIVE_OFF) && powered) {
         drive->off_due = false;
         answer.stop = drive_power_off(drive);

@@ -75,7 +75,28 @@ void outlet_alive(outlet *o, int64_t now_ns)
     (void)pthread_mutex_unlock(&o->lock);
 }
 
-int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns, int64_t now_ns)
+/* Return the number of a writer among the senders of the lease. More writers than there are numbers
+ * count as those that cannot be distinguished. The caller holds the lock. */
+static uint32_t sender_of(outlet *o, uint64_t writer, int64_t now_ns)
+{
+    uint32_t place = 0;
+    for (uint32_t i = 0; i < OUTLET_SENDERS; i++) {
+        if (o->sender[i].newest_ns != 0 && o->sender[i].writer == writer) {
+            o->sender[i].newest_ns = now_ns;
+            return OUTLET_SENDERS_FROM + i;
+        }
+        place = o->sender[i].newest_ns < o->sender[place].newest_ns ? i : place;
+    }
+    outlet_sender *oldest = &o->sender[place];
+    if (oldest->newest_ns != 0 && now_ns - oldest->newest_ns < OUTLET_KEPT_NS) {
+        return SENDER_UNNAMED;
+    }
+    *oldest = (outlet_sender){.writer = writer, .newest_ns = now_ns};
+    return OUTLET_SENDERS_FROM + place;
+}
+
+int outlet_send_direct(outlet *o, const stamped_twist *twist, uint64_t writer, int64_t stamp_ns,
+                       int64_t now_ns)
 {
     command_datagram datagram = {
         .magic = COMMAND_MAGIC,
@@ -87,6 +108,7 @@ int outlet_send_direct(outlet *o, const stamped_twist *twist, int64_t stamp_ns, 
         .angular_rad_s = twist->angular_rad_s,
     };
     (void)pthread_mutex_lock(&o->lock);
+    datagram.kind |= (uint16_t)(sender_of(o, writer, now_ns) << SENDER_SHIFT);
     bool hangs = now_ns - o->alive_ns > OUTLET_ALIVE_NS;
     int error = o->fd < 0 ? -ENOTCONN
                 : hangs   ? -EHOSTDOWN

@@ -135,7 +135,8 @@ static void take_twist(receiver *r, const uint8_t *raw, size_t bytes, uint64_t w
         r->refused[refusal - 1]++;
         return;
     }
-    int error = outlet_send_direct(&r->out, &twist, now_ns - (int64_t)(age_s * 1e9), now_ns);
+    int error =
+        outlet_send_direct(&r->out, &twist, writer, now_ns - (int64_t)(age_s * 1e9), now_ns);
     if (error != 0) {
         count_lost(r, error);
         return;

@@ -157,6 +157,9 @@ static const char *bad_joint_field(const joint_config *joint)
         bits != 32 && bits != 64) {
         return "counter_bits";
     }
+    if (joint->counter_mantissa_bits > 53) {
+        return "counter_mantissa_bits";
+    }
     if (bits != 0 && !(fabs(joint->rad_per_count) >= LEAST && fabs(joint->rad_per_count) <= MOST)) {
         return "rad_per_count";
     }

@@ -9,6 +9,7 @@
 #include "goal.h"
 #include "independent.h"
 #include "loops.h"
+#include "rest.h"
 #include "snapshot.h"
 #include "steer.h"
 #include "watch.h"
@@ -18,7 +19,7 @@
 #include <math.h>
 #include <string.h>
 
-/* after a fault: time of zero set-points after which the power goes off anyway */
+/* time of zero set-points after which the power goes off although no rest was seen */
 static const int64_t HOLD_AT_ZERO_NS = 2000000000;
 
 /* Return the sum of all set-points: not finite if one of them is not. */
@@ -251,18 +252,6 @@ static void drive(core_state *state, tick *t)
     t->moving = wheels->moving != 0;
 }
 
-static bool all_slow(const core_state *state)
-{
-    for (uint32_t j = 0; j < state->config.joint_count; j++) {
-        /* a wheel that measures nothing (NaN) counts as fast as its set-point */
-        if (!state->stale[j] &&
-            fabs(state->odometry.joint[j].velocity_rad_s) >= state->config.rest_velocity_rad_s) {
-            return false;
-        }
-    }
-    return true;
-}
-
 /* Take the gyro before the wheels, so that a turn which both have measured is in the pose at
  * once. */
 static void take_gyro(core_state *state, const tick *t)
@@ -271,7 +260,7 @@ static void take_gyro(core_state *state, const tick *t)
     if (!config->used) {
         return;
     }
-    bool wheels_rest = state->at_rest && !t->any_stale;
+    bool wheels_rest = state->rest == REST_AT_REST && !t->any_stale;
     gyro_take(&state->odometry.gyro, config, &t->input->imu, t->input->now_ns, wheels_rest);
 }
 
@@ -292,6 +281,8 @@ static void doubt(core_state *state, tick *t)
             continue;
         }
         why.joint = j;
+        state->doubted |= 1U << j;
+        state->odometry.distrusted |= (why.fault == FAULT_IMPLAUSIBLE_FEEDBACK ? 1U : 0U) << j;
         if (state->snapshot.doubt.fault == 0) {
             state->snapshot.doubt = why;
         }
@@ -328,16 +319,17 @@ static void measure(core_state *state, tick *t)
         odometry_drift(&state->odometry, &state->config, state->wheels.joint, t->dt_s);
     }
     if (!odometry_finite(&state->odometry, state->config.joint_count)) {
-        uint32_t epoch = state->odometry.epoch;
+        uint32_t epoch = state->odometry.epoch, distrusted = state->odometry.distrusted;
         odometry_init(&state->odometry, &state->config);
         state->odometry.epoch = epoch + 1;
+        state->odometry.distrusted = distrusted;
         t->checksum = NAN;
     }
-    state->slow = all_slow(state);
     if (state->positions) {
         doubt_positions(state, t);
     }
     doubt(state, t);
+    see_rest(state, t->input->now_ns);
     if (state->derates) {
         take_derating(state, t);
     }
@@ -358,24 +350,22 @@ static void guard(core_state *state, tick *t)
     watch_latch(state, FAULT_STATE);
 }
 
+bool core_may_power_off(const core_state *state, int64_t now_ns)
+{
+    /* unsigned, so a clock that runs backwards ends the time as well */
+    uint64_t zero_ns = (uint64_t)now_ns - (uint64_t)state->zero_since_ns;
+    bool overdue = state->zero_since_ns != 0 && zero_ns > (uint64_t)HOLD_AT_ZERO_NS;
+    return state->rest == REST_AT_REST || overdue;
+}
+
 /* Switch the power off when a fault has brought the base to rest; if the base is to hold, only on
- * request. Untrusted feedback does not prove rest: then only the time counts. */
+ * request. */
 static void release(core_state *state, const tick *t)
 {
-    int64_t now_ns = t->input->now_ns;
     if (watch_fault_action(state) == STOP_HOLD && !t->input->control.release) {
         return;
     }
-    if (t->moving) {
-        state->zero_since_ns = 0;
-    } else if (state->zero_since_ns == 0) {
-        state->zero_since_ns = now_ns;
-    }
-    /* unsigned, so a clock that runs backwards ends the hold as well */
-    uint64_t zero_ns = (uint64_t)now_ns - (uint64_t)state->zero_since_ns;
-    bool overdue = !t->moving && zero_ns > (uint64_t)HOLD_AT_ZERO_NS;
-    bool seen_at_rest = state->at_rest && !t->any_stale && !(state->faults & FAULTS_OF_FEEDBACK);
-    if (seen_at_rest || overdue) {
+    if (core_may_power_off(state, t->input->now_ns)) {
         state->holding = 0;
     }
 }
@@ -419,6 +409,7 @@ static void note_extras(core_state *state)
 {
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         const joint_config *joint = &state->config.joint[j];
+        state->snapshot.rest.rest_unmeasured |= (joint->unmeasured != 0 ? 1U : 0U) << j;
         state->slewed |= joint->pwm.slew_per_s < INFINITY;
         state->derates |= derating_used(&joint->derating);
         state->positions |= joint->position.used;
@@ -452,8 +443,6 @@ int core_init(core_state *state, const core_config *config)
     }
     state->goal.zero = 1;
     state->silent = 1;
-    state->slow = 1;
-    state->at_rest = 1;
     state->snapshot.joint_count = config->joint_count;
     odometry_init(&state->odometry, config);
     return 0;
@@ -472,7 +461,7 @@ void core_step(core_state *state, const core_input *input, double dt_s, setpoint
         set_loops(state, &t);
     }
     guard(state, &t);
-    state->at_rest = !t.moving && state->slow;
+    note_rest(state, t.moving, input->now_ns);
     if (state->holding) {
         release(state, &t);
     }

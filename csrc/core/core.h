@@ -85,8 +85,13 @@ static inline bool odometry_finite(const odometry_state *state, uint32_t joint_c
                  state->spread.slip_m_s + r[0] + r[1] + r[2] + p[0] + p[1] + p[2] + p[3] + p[4] +
                  p[5] + q[0] + q[1] + q[2] + state->gyro.yaw_rad + state->gyro.bias_rad_s +
                  state->gyro.bias_variance_rad2_s2;
+    const speed_state *speed = &state->speed;
+    for (int i = 0; i < AXES; i++) {
+        sum += speed->travel_u[i] + speed->travel2_u2_s2[i] + speed->drives2_u2_s2[i];
+    }
     for (uint32_t j = 0; j < joint_count; j++) {
-        sum += state->joint[j].position_rad; /* pending_rad is a part of it */
+        /* pending_rad is a part of the position */
+        sum += state->joint[j].position_rad + state->joint[j].left_out_rad;
     }
     return isfinite(sum);
 }
@@ -95,6 +100,16 @@ static inline bool odometry_finite(const odometry_state *state, uint32_t joint_c
 static const int64_t SPREAD_EVERY_NS = 50000000;
 void spread_look(odometry_state *state, const core_config *config, int64_t now_ns);
 void spread_floor(odometry_state *state, const core_config *config);
+
+/* Return the least angle of the wheel that its counter shows where it stands. */
+double counter_step_rad(const joint_odometry *joint, const joint_config *config);
+/* Measure the twist, moved_u[AXES] after the last call, by the wheels alone. Returns false if it is
+ * not known yet. */
+bool speed_take(odometry_state *state, const core_config *config, const joint_feedback *feedback,
+                const double *moved_u);
+/* Begin anew, because a part of the travel is unknown: at this stamp or, if that is 0, at the next
+ * call of speed_take(). */
+void speed_begin(speed_state *speed, int64_t stamp_ns);
 
 /* Let the variance grow as if the motion by the set-points were unknown, when the wheels that send
  * feedback do not determine the motion. */

@@ -38,6 +38,7 @@ __attribute__((noinline)) static void doubt_positions(core_state *state, tick *t
         if (position_follows(following, own, apart_rad, profile->velocity_rad_s, now_ns)) {
             continue;
         }
+        state->doubted |= 1U << j;
         if (state->snapshot.doubt.fault == 0) {
             state->snapshot.doubt =
                 (feedback_doubt){.since_ns = since_ns,

@@ -34,7 +34,7 @@ static inline void write_joint(const core_state *state, const joint_feedback *fe
                                joint_state *to)
 {
     const joint_odometry *odometry = &state->odometry.joint[j];
-    to->position_rad = odometry->position_rad;
+    to->position_rad = odometry->position_rad - odometry->left_out_rad;
     to->velocity_rad_s = odometry->velocity_rad_s;
     to->current_a = measured(feedback->current_a);
     to->voltage_v = measured(feedback->voltage_v);
@@ -43,10 +43,47 @@ static inline void write_joint(const core_state *state, const joint_feedback *fe
     to->enabled = feedback->enabled;
     to->stale = state->stale[j];
     to->jumps = odometry->jumps;
-    if (feedback->stamp_ns <= 0) {
-        /* never received: all values are zero, and zero volts would be wrong */
+    if (state->stale[j]) { /* or never received: the last value is not the present one */
+        to->position_rad = to->velocity_rad_s = (double)NAN;
         to->current_a = to->voltage_v = to->temperature_c = (double)NAN;
         to->enabled = 2;
+    }
+    if (state->odometry.distrusted >> j & 1U) {
+        to->position_rad = (double)NAN;
+    }
+}
+
+/* Time in which a wheel that counts as at rest may turn by a step of its counter. */
+static const double COARSE_S = 0.2;
+
+static inline void write_counters(core_state *state)
+{
+    uint32_t coarse = 0;
+    for (uint32_t j = 0; j < state->config.joint_count; j++) {
+        const joint_config *joint = &state->config.joint[j];
+        bool grown = joint->counter_mantissa_bits != 0 &&
+                     counter_step_rad(&state->odometry.joint[j], joint) >
+                         state->config.rest_velocity_rad_s * COARSE_S;
+        coarse |= (grown ? 1U : 0U) << j;
+    }
+    state->snapshot.counters.counter_coarse = coarse;
+    state->snapshot.counters.counter_distrusted = state->odometry.distrusted;
+}
+
+/* Write the measured twist with its covariance; NaN where the wheels with fresh feedback do not
+ * determine it. */
+static inline void write_twist(const core_state *state, robot_state *to)
+{
+    const odometry_state *from = &state->odometry;
+    double known = from->twist_known || state->config.independent ? 0.0 : (double)NAN;
+    to->linear_m_s = from->linear_m_s + known;
+    to->angular_rad_s = from->angular_rad_s + known;
+    to->lateral.lateral_m_s = from->lateral_m_s + known;
+    to->lateral.slip_m_s = from->spread.slip_m_s + known;
+    for (int i = 0; i < 3; i++) {
+        to->twist_covariance[i] = from->twist_covariance[i] + known;
+        to->lateral.lateral_covariance[i] =
+            state->axes == AXES ? from->lateral_covariance[i] + known : 0.0;
     }
 }
 
@@ -62,22 +99,14 @@ static inline void snapshot_write_feedback(core_state *state, const joint_feedba
     to->heading_rad = from->heading_rad;
     to->distance_m = from->distance_m;
     to->turned_rad = from->turned_rad;
-    to->linear_m_s = from->linear_m_s;
-    to->angular_rad_s = from->angular_rad_s;
     for (int i = 0; i < 6; i++) {
         to->pose_covariance[i] = from->pose_covariance[i];
     }
-    for (int i = 0; i < 3; i++) {
-        to->twist_covariance[i] = from->twist_covariance[i];
-    }
-    for (int i = 0; i < 3 && state->axes == AXES; i++) {
-        to->lateral.lateral_covariance[i] = from->lateral_covariance[i];
-    }
-    to->lateral.lateral_m_s = from->lateral_m_s;
-    to->lateral.slip_m_s = from->spread.slip_m_s;
+    write_twist(state, to);
     for (uint32_t j = 0; j < state->config.joint_count; j++) {
         write_joint(state, &feedback[j], j, &to->joint[j]);
     }
+    write_counters(state);
 }
 
 static inline void write_imu(core_state *state, const core_input *input)
@@ -88,15 +117,16 @@ static inline void write_imu(core_state *state, const core_input *input)
     imu_state *to = &state->snapshot.imu;
     bool known = gyro->bias_stamp_ns != 0;
     to->stamp_ns = from->stamp_ns;
+    to->state = gyro_status(gyro, config, input->now_ns);
     for (int axis = 0; axis < 3; axis++) {
-        to->angular_rad_s[axis] = measured(from->angular_rad_s[axis]);
-        to->acceleration_m_s2[axis] = measured(from->acceleration_m_s2[axis]);
+        bool old = to->state == GYRO_STALE;
+        to->angular_rad_s[axis] = old ? (double)NAN : measured(from->angular_rad_s[axis]);
+        to->acceleration_m_s2[axis] = old ? (double)NAN : measured(from->acceleration_m_s2[axis]);
     }
     to->angular_rad_s[2] -= gyro->bias_rad_s;
     to->bias_rad_s = known ? gyro->bias_rad_s : (double)NAN;
     to->bias_variance_rad2_s2 = known ? gyro->bias_variance_rad2_s2 : (double)NAN;
     to->rate_variance_rad2_s2 = known ? gyro->rate_variance_rad2_s2 : (double)NAN;
-    to->state = gyro_status(gyro, config, input->now_ns);
     to->heading_by_gyro = state->odometry.by_gyro;
     to->still = gyro->still;
     to->refused = gyro->refused;
@@ -113,7 +143,8 @@ static inline void write_steering(core_state *state)
         to->position_setpoints_rad[j] = shown ? state->steer.profile[j].position_rad : (double)NAN;
         if (takes) {
             to->position_joints |= 1U << j;
-            state->snapshot.joint[j].position_rad = state->odometry.angle_rad[j];
+            state->snapshot.joint[j].position_rad =
+                state->stale[j] ? (double)NAN : state->odometry.angle_rad[j];
             state->snapshot.joint[j].setpoint_rad_s =
                 shown ? state->wheels.joint[j].velocity_rad_s : 0.0;
         }
@@ -167,7 +198,8 @@ static inline void snapshot_write(core_state *state, const tick *t)
     to->faults = state->faults;
     to->armed = state->armed;
     to->enabled = state->armed | state->holding;
-    to->at_rest = state->at_rest;
+    to->at_rest = state->rest == REST_AT_REST;
+    to->rest.rest = state->rest;
     to->dt_s = t->dt_s;
     to->command_age_s = t->command_age_s > 0.0 ? t->command_age_s : 0.0;
     to->wanted_linear_m_s = t->command_fresh ? state->goal.wanted_u_s[AXIS_LINEAR] : 0.0;
@@ -188,12 +220,15 @@ _Static_assert(sizeof(steering_state) == (JOINTS_MAX + 1) * 8 + 2 * 4, "padding 
 _Static_assert(sizeof(speed_loop_shown) == 2 * 8, "padding in speed_loop_shown");
 _Static_assert(sizeof(derating_shown) == 2 * 8 + 2 * 4, "padding in derating_shown");
 _Static_assert(sizeof(reasons_shown) == REASONS_MAX * 8 + 6 * 4, "padding in reasons_shown");
+_Static_assert(sizeof(rest_shown) == JOINTS_MAX * 8 + 2 * 4, "padding in rest_shown");
+_Static_assert(sizeof(counters_shown) == 2 * 4, "padding in counters_shown");
 _Static_assert(sizeof(setpoints) == 8 + 8 + 4 + 4 + JOINTS_MAX * 32 + 8, "padding in setpoints");
 _Static_assert(sizeof(robot_state) == 8 + 8 + 10 * 4 + 7 * 8 + 8 + 7 * 8 + 9 * 8 + JOINTS_MAX * 80 +
                                           sizeof(imu_state) + sizeof(feedback_doubt) +
                                           sizeof(lateral_state) + sizeof(steering_state) +
                                           JOINTS_MAX * sizeof(speed_loop_shown) +
-                                          sizeof(derating_shown) + sizeof(reasons_shown),
+                                          sizeof(derating_shown) + sizeof(reasons_shown) +
+                                          sizeof(rest_shown) + sizeof(counters_shown),
                "padding in robot_state");
 
 #endif

@@ -7,6 +7,7 @@
 
 #include "fresh.h"
 #include "independent.h"
+#include "rest.h"
 #include "snapshot.h"
 #include "steer.h"
 
@@ -150,19 +151,22 @@ static inline void look(core_state *state, const core_input *input, double dt_s,
     read_feedback(state, t);
 }
 
-/* Clear the faults only when their causes are gone and nothing moves or is commanded to. A reset
- * never arms. */
+/* Clear the faults only when their causes are gone and nothing moves or is commanded to. Feedback
+ * that was not trusted is trusted again: a person has looked at the wheel. A reset never arms. */
 static inline void reset(core_state *state, const tick *t)
 {
     const core_control *control = &t->input->control;
     bool cause =
         control->estop || control->fault || t->any_stale || t->drive_fault || state->steer.unknown;
-    if (cause || !t->command_zero || !state->at_rest) {
+    if (cause || !t->command_zero || state->rest == REST_TURNING) {
         return;
     }
     state->faults = 0;
     state->holding = 0;
+    state->doubted = 0;
+    state->odometry.distrusted = 0;
     state->snapshot.doubt = (feedback_doubt){0};
+    see_rest(state, t->input->now_ns);
 }
 
 static inline void obey_counters(core_state *state, const tick *t)

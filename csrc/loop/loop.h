@@ -30,6 +30,7 @@ typedef struct {
     arbiter arbiter;
     lease_permissions permissions;
     int64_t used_stamp_ns; /* stamp of the command that HISTOGRAM_COMMAND counted last */
+    bool armed;            /* the core was armed in the tick before */
     bool woken;            /* the previous tick had a new command */
     bool stopping;         /* the set-points of the last tick were zero */
     histogram histogram[HISTOGRAM_KINDS];

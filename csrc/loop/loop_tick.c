@@ -44,6 +44,7 @@ int loop_work_init(loop_work *work, const loop_config *loop, const core_config *
     arbiter_init(&work->arbiter, &work->core.config, &work->core.limits);
     work->used_stamp_ns = 0;
     work->stopping = true;
+    work->armed = false;
     work->woken = false;
     work->last_ns = 0;
     work->still_ns = 0;
@@ -132,6 +133,10 @@ static void take_commands(loop_work *work, int64_t now_ns)
     }
     uint32_t before = work->arbiter.report.commander;
     bool could_move = work->arbiter.report.may_move != 0;
+    if (work->core.armed != 0 && !work->armed) {
+        arbiter_arm(&work->arbiter, now_ns);
+    }
+    work->armed = work->core.armed != 0;
     uint32_t taken = ingress_take(&work->ingress, &work->arbiter, may_move(work));
     arbiter_command(&work->arbiter, now_ns, may_move(work), &work->input.command);
     if (work->core.config.independent) {
@@ -170,7 +175,8 @@ static void take_control(loop_work *work)
     control->estop |= guard_read_estop(&work->guard);
     control->release |= pending[STOP_REQUEST_DISARM];
     control->stop |= pending[STOP_REQUEST_STOP] || pending[STOP_REQUEST_DISARM];
-    work->disarmed = pending[STOP_REQUEST_DISARM] && (work->disarmed || work->core.at_rest);
+    work->disarmed = pending[STOP_REQUEST_DISARM] &&
+                     (work->disarmed || core_may_power_off(&work->core, work->input.now_ns));
     control->armed = work->disarmed ? 0 : control->armed;
 }
 
@@ -209,7 +215,7 @@ static bool worth_a_word(const robot_state *now, const robot_state *before)
 {
     uint32_t other_reasons = (now->reasons ^ before->reasons) & REASONS_TO_STAND;
     return other_reasons != 0 || now->faults != before->faults || now->armed != before->armed ||
-           now->at_rest != before->at_rest;
+           now->rest.rest != before->rest.rest;
 }
 
 static void notify(loop_work *work, bool always)

@@ -196,15 +196,17 @@ class Client:
         position_rad: Mapping[str, float] | None = None,
         velocity_rad_s: Mapping[str, float] | None = None,
         *,
+        clamp: bool = False,
         owner: str | None = None,
         priority: int | None = None,
         lease_s: float | None = None,
     ) -> dict[str, Any]:
         """Request positions and speeds of joints without a base, by their names. A joint that is
         left out comes to rest or, if it takes positions, goes on to its last position from this
-        owner, as long as commands come. Returns the source in command."""
+        owner, as long as commands come. A position beyond its range is refused; `clamp`: it means
+        the end of the range. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
-        params = joints_params(position_rad, velocity_rad_s, **lease)
+        params = joints_params(position_rad, velocity_rad_s, clamp=clamp, **lease)
         return dict(await self.call("joints", **params))
 
     async def move(
@@ -276,10 +278,12 @@ class Client:
         """Give the lease back before it expires."""
         await self.call("release", **({} if owner is None else {"owner": owner}))
 
-    async def arm(self) -> str:
+    async def arm(self, *, release_held: bool = False) -> str:
         """Put the drives under power at zero speed. Returns the state, like all methods below that
-        return a str."""
-        return str((await self.call("arm"))["state"])
+        return a str. `release_held`: if the robot is armed already, let the sources go on that a
+        stop holds (`status().held`): for a person who has seen which they are."""
+        params = {"release_held": True} if release_held else {}
+        return str((await self.call("arm", **params))["state"])
 
     async def disarm(self) -> str:
         """Come to rest and remove the power."""
@@ -295,9 +299,11 @@ class Client:
 
     async def _surely(self, method: str) -> str:
         """Request it by datagram first, which the real-time loop reads even if other requests wait.
-        The answer comes over a connection of its own, which no other call can block."""
+        The answer comes over a connection of its own, which no other call can block. Raises
+        DaemonHangs, a ClientError, 1.2 s after it if the daemon hangs."""
         with contextlib.suppress(OSError), stop_request.open_sender() as sender:  # or no descriptor
             await send_stop(sender, self.path, method)
+        await until_tick(self.path, method)
         async with Client(self.path, timeout_s=self.timeout_s) as own:
             return str((await own.call(method))["state"])
 
@@ -319,12 +325,20 @@ class Client:
 
     async def params_set(self, **values: float | None) -> dict[str, float | None]:
         """Set limits and gains, all or none, or registers of drives, one after the other:
-        `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit."""
+        `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit. A limit beyond the robot file is
+        refused, unless `force=True` is among the values."""
         return dict(await self.call("params.set", **values))
 
     async def latency(self) -> dict[str, Any]:
         """Return the loop's histograms since its start, as percentiles and as buckets."""
         return dict(await self.call("latency"))
+
+
+async def until_tick(path: Path, method: str) -> None:
+    """Wait until the daemon is seen to tick: `stop_request.until_tick`. Raises DaemonHangs."""
+    with contextlib.closing(stop_request.until_tick(path, method)) as looks:
+        for _ in looks:
+            await asyncio.sleep(stop_request.LOOK_EVERY_S)
 
 
 async def send_stop(sender: socket.socket, path: Path, method: str) -> bool:

@@ -261,15 +261,17 @@ class Client:
         position_rad: Mapping[str, float] | None = None,
         velocity_rad_s: Mapping[str, float] | None = None,
         *,
+        clamp: bool = False,
         owner: str | None = None,
         priority: int | None = None,
         lease_s: float | None = None,
     ) -> dict[str, Any]:
         """Request positions and speeds of joints without a base, by their names. A joint that is
         left out comes to rest or, if it takes positions, goes on to its last position from this
-        owner, as long as commands come. Returns the source in command."""
+        owner, as long as commands come. A position beyond its range is refused; `clamp`: it means
+        the end of the range. Returns the source in command."""
         lease = {"owner": owner, "priority": priority, "lease_s": lease_s}
-        params = joints_params(position_rad, velocity_rad_s, **lease)
+        params = joints_params(position_rad, velocity_rad_s, clamp=clamp, **lease)
         return dict(self.call("joints", **params))
 
     def move(
@@ -345,10 +347,12 @@ class Client:
         """Give the lease back before it expires."""
         self.call("release", **({} if owner is None else {"owner": owner}))
 
-    def arm(self) -> str:
+    def arm(self, *, release_held: bool = False) -> str:
         """Put the drives under power at zero speed. Returns the state, like all methods below that
-        return a str."""
-        return str(self.call("arm")["state"])
+        return a str. `release_held`: if the robot is armed already, let the sources go on that a
+        stop holds (`status().held`): for a person who has seen which they are."""
+        params = {"release_held": True} if release_held else {}
+        return str(self.call("arm", **params)["state"])
 
     def disarm(self) -> str:
         """Come to rest and remove the power."""
@@ -365,9 +369,11 @@ class Client:
     def _surely(self, method: str) -> str:
         """Request it by datagram first, which the real-time loop reads even if other requests wait.
         The answer comes over a new connection if the daemon has closed this one to make room for
-        others."""
+        others. Raises DaemonHangs, a ClientError, 1.2 s after it if the daemon hangs."""
         with contextlib.suppress(OSError):  # the daemon has no such socket, or has ended
             stop_request.send(self.path, method, STOP_WITHIN_S)
+        for _ in stop_request.until_tick(self.path, method):
+            time.sleep(stop_request.LOOK_EVERY_S)
         if not self.connected:
             again = Client(self.path, timeout_s=self.timeout_s)
             self._socket.close()
@@ -392,7 +398,8 @@ class Client:
 
     def params_set(self, **values: float | None) -> dict[str, float | None]:
         """Set limits and gains, all or none, or registers of drives, one after the other:
-        `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit."""
+        `params_set(**{"limits.linear_m_s": 0.3})`. None: no limit. A limit beyond the robot file is
+        refused, unless `force=True` is among the values."""
         return dict(self.call("params.set", **values))
 
     def latency(self) -> dict[str, Any]:

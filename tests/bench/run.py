@@ -18,7 +18,7 @@ from typing import Any
 
 from tests.bench import calibration
 from tests.bench.bus import bus, dashboard
-from tests.bench.command import bus_command, datagram
+from tests.bench.command import bus_command, datagram, hung_daemon
 from tests.bench.fieldbus import board_stream, can_bus, servo_bus, wire
 from tests.bench.loop import core_instructions, culprits, lateness
 
@@ -131,6 +131,12 @@ def calibrating(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
     return calibration.table(found), found, calibration.verdicts(found)
 
 
+def stopping_a_hung_daemon(size: Size) -> tuple[str, dict[str, Any], Verdicts]:
+    runs = {Size.SMOKE: 1, Size.QUICK: 1, Size.WHOLE: 5}[size]
+    found = hung_daemon.measure(runs, (0.0,) if size is Size.SMOKE else hung_daemon.HUNG_FOR_S)
+    return hung_daemon.table(found), found, hung_daemon.verdicts(found)
+
+
 PARTS = {
     "core": core,
     "wire": on_the_wire,
@@ -138,6 +144,7 @@ PARTS = {
     "servos": bus_servos,
     "board": on_a_stream,
     "datagram": datagrams,
+    "hung": stopping_a_hung_daemon,
     "lateness": wake_ups,
     "culprits": late_ticks,
     "calibration": calibrating,

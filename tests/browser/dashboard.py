@@ -9,7 +9,14 @@ import subprocess
 import uuid
 from urllib.parse import urlsplit
 
-from tests.sim.daemon_stage import DEADLINE_S, connected, ended, running, wait_until
+from tests.sim.daemon_stage import (
+    DEADLINE_S,
+    connected,
+    ended,
+    release_sources,
+    running,
+    wait_until,
+)
 from tests.sim.web.web_page import bus_children, free_port
 
 from motord.client import Refused
@@ -162,6 +169,7 @@ class Dashboard:
                     self.stage.robot.reset()
                 elif state == "idle":
                     self.stage.robot.arm()
+                    release_sources(self.stage)
             if state in ("armed", "moving") and not held(page):
                 hold(page)
             return self.turns()

@@ -183,9 +183,9 @@ navigator.getGamepads = () => {
     window.looks += 1;
     return window.pads;
 };
-window.plug = (pressed) => {
+window.plug = (pressed, ahead = pressed) => {
     window.pads = [null, {
-        index: 1, id: 'pad of the test', connected: true, axes: [0, pressed ? -0.6 : 0, 0, 0],
+        index: 1, id: 'pad of the test', connected: true, axes: [0, ahead ? -0.6 : 0, 0, 0],
         buttons: Array.from({length: 17}, (_, n) => ({pressed: pressed && n === 4, value: 0})),
     }];
 };"""
@@ -199,9 +199,10 @@ def looked(page):
 
 
 def press_gamepad(page):
-    """Hold the gamepad's dead-man button, with its stick straight ahead."""
-    page.evaluate("plug(false)")
-    looked(page)
+    """Hold the gamepad's dead-man button, and move its stick straight ahead."""
+    for pressed, ahead in ((False, False), (True, False)):
+        page.evaluate("([pressed, ahead]) => plug(pressed, ahead)", [pressed, ahead])
+        looked(page)
     page.evaluate("plug(true)")
 
 
@@ -229,6 +230,20 @@ def test_a_gamepad_drives_again_only_after_its_button_was_released(robot, page, 
         assert not held(page)
         assert robot.rests()
     robot.set_off(page, press_gamepad)
+
+
+def test_a_gamepad_begins_with_its_stick_in_the_middle(robot, page):
+    page.evaluate(GAMEPADS)
+    page.evaluate("location.hash = 'drive'")
+    page.wait_for_selector(".pad")
+    robot.stage.robot.arm()
+    for pressed in (False, True):
+        page.evaluate("pressed => plug(pressed, true)", pressed)
+        looked(page)
+    assert not held(page)
+    page.evaluate("plug(true, false)")
+    wait_until(lambda: held(page), "it holds once the stick is in the middle")
+    assert robot.rests()
 
 
 def test_a_second_page_does_not_drive_while_the_first_one_does(robot, page):
@@ -434,4 +449,4 @@ SPACE_EARLY = """new MutationObserver((_, observer) => {
 def test_the_space_bar_works_right_after_the_first_drawing(robot):
     with robot.page() as page, page.add_init_script(SPACE_EARLY):
         page.reload()
-        page.locator(".estop-place .problem", has_text="E-STOP: there is no connection").wait_for()
+        robot.stage.wait_for("estop")  # sent once there is a connection

@@ -4,7 +4,7 @@ with it do not find the error.
 
 python tests/c/mutants.py [FILE ...] [--sample N] [--seed S] [--jobs N] [--again]
 
-Without FILE: all files of `pure_files`. With --again: only the mutants that survived the last run
+Without FILE: all files of `code_files`. With --again: only the mutants that survived the last run
 of their file.
 
 The tests are linked once against a library of csrc/. A mutant is a small shared object that is
@@ -48,8 +48,6 @@ FLAGS = ["-std=c11", "-D_GNU_SOURCE", "-ffp-contract=off", "-w"]
 CHECKS = ["-fsanitize=address,undefined,bounds-strict", "-fno-sanitize-recover=all"]
 SANITIZED = ["-O1", *CHECKS]
 CHECKED = ["-O0", *CHECKS, "-fPIC", "-shared"]  # for mutants: compiles three times as fast
-IMPURE = re.compile(r"(bus_receiver|clock|loop.*|line_(thread|rtu|can|board)|output_.*|ingress)\.c")
-"""Files with a clock, a thread or a descriptor: contract, rt and peers tests run them."""
 FUZZ = ["fuzz_line 2000", "fuzz_can 2000", "fuzz_board 3000", "fuzz_command 20000"]
 BLOCKED_AFTER_S = 20.0
 CPU_LEAST_S = 0.1
@@ -244,7 +242,7 @@ class Bench:
 
     def _programs(self) -> list[Program]:
         listed = subprocess.run(
-            ["make", "-s", "--no-print-directory", "-C", HERE, "print-plain"],
+            ["make", "-s", "--no-print-directory", "-C", HERE, "print-tests"],
             check=True, capture_output=True, text=True,
         ).stdout.split()  # fmt: skip
         programs = [Program(call) for call in [*listed, *FUZZ]]
@@ -429,15 +427,14 @@ class Trial:
         return tally
 
 
-def pure_files() -> list[str]:
-    """Return the C files without a clock, thread or descriptor, and headers with functions."""
+def code_files() -> list[str]:
+    """Return all C files, and headers with functions."""
     headers = [
         path.name
         for path in sorted(CSRC.rglob("*.h"))
         if "static inline" in path.read_text(encoding="utf-8")
     ]
-    parts = [path.name for path in sorted(CSRC.rglob("*.c")) if not IMPURE.fullmatch(path.name)]
-    return parts + headers
+    return [path.name for path in sorted(CSRC.rglob("*.c"))] + headers
 
 
 def main() -> int:
@@ -453,7 +450,7 @@ def main() -> int:
     tallies = []
     with tempfile.TemporaryDirectory() as folder:
         bench = Bench(Path(folder), asked.jobs)
-        for name in asked.file or pure_files():
+        for name in asked.file or code_files():
             known = listed.get(name, {})
             tally = Trial(bench, name).judge(known, asked.sample, asked.seed, asked.again)
             tallies.append(tally)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Hostile inputs for what is written in Python.
 
-    python tests/fuzz/fuzz.py --runs 2000 --seed 7 guard socket robot-file
+    python tests/fuzz/fuzz.py --runs 2000 --seed 7 guard socket robot-file recording
 
 Prints the seed, and each problem with the beginning of its input; the whole input is in a file of
 build/fuzz, and the exit status is 1. One run of "guard" is one line that gets many replies, one of
@@ -22,12 +22,14 @@ sys.path[:0] = [str(ROOT / part) for part in (*FOLDERS, "daemon", "hal", ".")]
 
 import guard  # noqa: E402  # the path is made above
 import local_socket  # noqa: E402
+import recording  # noqa: E402
 import robot_file  # noqa: E402
 
 TARGETS = {
     "robot-file": (robot_file.run, 1),
     "socket": (local_socket.run, 50),
     "guard": (guard.run, 50),
+    "recording": (recording.run, 1),
 }
 """Each target's function, and the number of --runs for one run of it: their costs differ."""
 PROBLEMS_MAX = 5

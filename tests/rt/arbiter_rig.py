@@ -19,6 +19,7 @@ class Lease:
     linear_m_s: float
     angular_rad_s: float
     held: bool
+    held_ns: int
 
     @property
     def wants_motion(self):
@@ -40,25 +41,26 @@ class Arbiter:
         self.sequence = 0
         self.now_ns = 0
         self.numbers = 0
+        self.releases = 0
 
     def grant(self, now_ns, key, priority, lifetime_ns):
         before = self.granted.get(key)
-        gone_until_ns = self.gone.pop(key[1], 0)
-        barred_until_ns = gone_until_ns if before is None else before["barred_until_ns"]
+        barred_ns = self.gone.get(key[1], 0) if before is None else before["barred_ns"]
         self.numbers += before is None
         self.granted[key] = {
             "number": self.numbers if before is None else before["number"],
             "token": bytes([self.numbers]) * 16 if before is None else before["token"],
             "priority": priority,
             "lifetime_ns": lifetime_ns,
-            "barred_until_ns": barred_until_ns,
+            "barred_ns": barred_ns,
         }  # fmt: skip
         self._put_permissions()
         return self.granted[key]
 
     def _put_permissions(self):
         grants = list(self.granted.values())
-        lib.arbiter_grant(self.c, ffi.new("lease_permissions *", {"lease": grants}))
+        permissions = {"lease": grants, "releases": self.releases}
+        lib.arbiter_grant(self.c, ffi.new("lease_permissions *", permissions))
 
     def raw(self, now_ns, datagram_bytes):
         self.now_ns, may_move = now_ns, True
@@ -85,6 +87,7 @@ class Arbiter:
                 linear_m_s=raw.linear_m_s,
                 angular_rad_s=raw.angular_rad_s,
                 held=raw.held != 0,
+                held_ns=raw.held_ns,
             )
             for raw in self.c.report.lease
             if raw.number
@@ -123,12 +126,20 @@ class Arbiter:
         for lease in self.all():
             if lease.connection == connection:
                 del self.granted[connection, lease.owner]
-                if lease.held and self.now_ns < lease.expires_ns:
-                    self.bar(lease.owner, lease.expires_ns)
+                if lease.held:
+                    self.bar(lease.owner, lease.held_ns)
         self._put_permissions()
 
-    def bar(self, owner, until_ns):
-        self.gone[owner] = max(until_ns, self.gone.get(owner, 0))
+    def bar(self, owner, held_ns):
+        self.gone[owner] = max(held_ns, self.gone.get(owner, 0))
         for (_, other), grant in self.granted.items():
             if other == owner:
-                grant["barred_until_ns"] = max(grant["barred_until_ns"] + 1, until_ns)
+                grant["barred_ns"] = max(grant["barred_ns"] + 1, held_ns)
+
+    def release_all(self):
+        """Let all held leases go on, as a person does."""
+        self.gone.clear()
+        for grant in self.granted.values():
+            grant["barred_ns"] = 0
+        self.releases += 1
+        self._put_permissions()

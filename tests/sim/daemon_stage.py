@@ -26,6 +26,7 @@ PATIENT = (
     "safety.feedback_timeout_s=2.0",
     "safety.heartbeat_timeout_s=5.0",
     "safety.drive_watchdog_s=2.0",
+    "safety.timeout_travel_max_m=1000.0",
 )
 """Settings with which a delay by a busy machine is no fault: these tests do not check times."""
 SLOW = (
@@ -69,6 +70,7 @@ def patient_on_can(folder, name, profile):
     )
     text = (ROOT / f"config/robots/{name}.toml").read_text(encoding="utf-8")
     text = re.sub(r"(\w+_timeout_s|drive_watchdog_s) = .*", r"\1 = 5.0", text)
+    text = text.replace("[safety]", "[safety]\ntimeout_travel_max_m = 1000.0")
     file = folder / "cart.toml"
     file.write_text(text.replace(f'drive = "{profile}"', 'drive = "./patient.toml"'), "utf-8")
     return file
@@ -119,6 +121,12 @@ class Stage:
         return self.daemon.wait(DEADLINE_S)
 
 
+def release_sources(stage):
+    """Release the sources that an earlier test left held, as a person who arms an armed robot."""
+    with contextlib.suppress(Refused):
+        stage.robot.arm(release_held=True)
+
+
 def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
     """Arm and drive until the wheels are fast; reset a fault that a busy machine causes."""
 
@@ -129,10 +137,13 @@ def set_off(stage, linear_m_s=0.4, fast_rad_s=3.0):
                 stage.robot.reset()
             if not status["armed"]:
                 stage.robot.arm()
+                stage.robot.drive(0.0, 0.0)  # a command from before the fault holds the source
             stage.robot.drive(linear_m_s, 0.0)
         joints = stage.sim.truth().joints.values()
         return all(abs(joint.velocity_rad_s) > fast_rad_s for joint in joints)
 
+    with contextlib.suppress(Refused):
+        stage.robot.drive(0.0, 0.0)  # one from before a stop holds the source
     wait_until(turning, "the wheels turn")
 
 
@@ -199,6 +210,7 @@ def armed(stage):
         return False
 
     wait_until(ready, "armed")
+    release_sources(stage)
     yield stage
     with contextlib.suppress(ClientError):
         stage.robot.disarm()
@@ -238,15 +250,18 @@ def running(
     robot=ROBOT,
     stdout=subprocess.DEVNULL,
     simulated=True,
+    ports=None,
     motord=("-m", "motord"),
     stderr=None,
     options=(),
     sim_options=(),
     faults=(),
 ):
-    """Run a daemon; yield its Stage. The robot's name is unique: each name has one state page."""
+    """Run a daemon; yield its Stage. The robot's name is unique: each name has one state page.
+    `ports`: settings of lines that are not `simulated` here."""
     with contextlib.ExitStack() as cleanup:
-        sim, places = None, [f"line.rs485.port={json.dumps(str(folder / 'nothing'))}"]
+        nowhere = [f"line.rs485.port={json.dumps(str(folder / 'nothing'))}"]
+        sim, places = None, nowhere if ports is None else ports
         if simulated:
             simulator = cleanup.enter_context(
                 start_simulator(

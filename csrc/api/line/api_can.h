@@ -22,6 +22,7 @@ enum {
     CAN_BYTES_MAX = 64,
     CAN_BEGINS_MAX = 64,
     CAN_SYNCS_MAX = 2,
+    CAN_SENDINGS_MAX = 256,
     CAN_ORDERS_MAX = 32,
     CAN_RECEIVED_MAX = 256
 };
@@ -136,9 +137,13 @@ typedef struct {
     uint32_t drive_count; /* 1..CAN_DRIVES_MAX */
     uint32_t sync_count;  /* frames for all drives at once, at the end of each cycle */
     can_packet sync[CAN_SYNCS_MAX];
-    int64_t period_ns;           /* period of the cycle: > 0 */
-    int64_t setpoint_timeout_ns; /* age of set-points that causes a quick stop */
-    double rest_velocity_rad_s;  /* a wheel slower than this is at rest: > 0 */
+    uint32_t sending_count;
+    uint32_t reserved;
+    uint32_t sending[CAN_SENDINGS_MAX]; /* each identifier that motord sends, like can_packet.id, in
+                                           ascending order: no other node may send it */
+    int64_t period_ns;                  /* period of the cycle: > 0 */
+    int64_t setpoint_timeout_ns;        /* age of set-points that causes a quick stop */
+    double rest_velocity_rad_s;         /* a wheel slower than this is at rest: > 0 */
     can_drive drive[CAN_DRIVES_MAX];
 } can_table;
 
@@ -188,20 +193,22 @@ typedef struct {
     uint32_t last_fault;     /* the newest such word: a stop may have cleared it in the drive */
     uint32_t last_fault_joint;
     uint32_t may_turn;   /* 1: armed since its newest set-up, also before the line was opened */
-    uint32_t stop_waits; /* the CAN bus has not taken all of the newest stop; at the end: the drive
-                            has not confirmed that it has no power */
+    uint32_t stop_waits; /* the CAN bus has not taken all of the newest stop, or the drive has not
+                            confirmed its power-off: by its report or, at the end, by any frame if
+                            it makes no such report */
 } can_drive_report;
 
 typedef struct {
     line_life life;
-    uint32_t shut_down; /* 1: done */
-    uint32_t reserved;
+    uint32_t shut_down;       /* 1: done */
+    uint32_t foreign_sending; /* number of the newest foreign identifier in can_table.sending */
     uint64_t cycles;
     uint64_t received; /* frames of the drives */
     uint64_t sent;
     uint64_t tx_full;     /* frames that the CAN bus did not take; the next one is newer */
     uint64_t bad_frames;  /* frames with a drive's identifier and unknown content */
     uint64_t dropped;     /* frames for which Python's queue had no room */
+    uint64_t foreign;     /* frames of another node with an identifier that motord sends */
     int64_t cycle_ns;     /* smoothed time between two cycles */
     int64_t setpoints_ns; /* stamp of the newest set-points; 0: no set-points yet */
     uint32_t fault_word[JOINTS_MAX]; /* whole words, by the core's joint number */

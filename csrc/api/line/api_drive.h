@@ -100,7 +100,8 @@ bool drive_is_changed(drive_state *drive);
 /* Note that the drive does not answer: its state is unknown. The medium decides what it still
  * sends. */
 void drive_unresponsive(drive_state *drive);
-/* Note that the drive answers again: it is BACK when it has got its power-off. */
-drive_stop drive_answers(drive_state *drive);
+/* Note that the drive answers again. `braking`: its probes brake it; it is BACK, and its set-up
+ * takes its power when it rests. Else it is BACK when it has got its power-off. */
+drive_stop drive_answers(drive_state *drive, bool braking);
 /* Note that the drive has got its stop. True: it was unresponsive and is now BACK. */
 bool drive_stop_done(drive_state *drive);

@@ -235,8 +235,10 @@ typedef struct {
 typedef struct {
     uint32_t drive_count; /* 1..LINE_DRIVES_MAX */
     uint32_t echo; /* 0: no echo; 1: every request comes back first; 2: the first read shows it */
-    double character_ns;           /* one byte on the wire, with start, parity and stop bits */
-    int64_t gap_ns;                /* silence before a request */
+    double character_ns; /* one byte on the wire, with start, parity and stop bits */
+    int64_t gap_ns;      /* silence before a request */
+    int64_t late_ns; /* time after a request in which its reply may come late, by the medium; twice
+                        the turn-around of its drive at least */
     int64_t setpoint_timeout_ns;   /* age of set-points that causes a quick stop */
     double rest_velocity_rad_s;    /* a wheel slower than this is at rest: > 0 */
     uint32_t broadcast_stop_count; /* frames that stop all drives at once, before each one's own; 0:
@@ -283,9 +285,10 @@ enum {
  * disarmed stays disarmed until the next one. */
 typedef struct {
     uint32_t count;
-    uint32_t mode; /* DRIVE_OFF; DRIVE_READY: has been set up, from OFF or BACK only; DRIVE_ARMED:
-                      from READY only; DRIVE_STAND_DOWN. A request that is not possible is only
-                      noted as seen */
+    uint32_t mode;           /* DRIVE_OFF: not from UNRESPONSIVE, where probes still stop it;
+                                DRIVE_READY: has been set up, from OFF or BACK only;
+                                DRIVE_ARMED: from READY only; DRIVE_STAND_DOWN. A request that
+                                is not possible is only noted as seen */
     int64_t arming_until_ns; /* READY: until this time the drive may report that it is enabled,
                                 because Python arms it; 0: never */
 } mode_request;

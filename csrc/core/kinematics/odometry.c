@@ -105,7 +105,7 @@ static void collect(odometry_state *state, const core_config *config, const uint
     }
     found->stamp_ns = newest_ns;
     found->joints = joints;
-    found->degraded = degraded | ((seen & ESTIMATE) != 0);
+    found->degraded = degraded | ((seen & ESTIMATE) != 0) | (state->distrusted != 0);
 }
 
 /* Return sin(h) / h, without cancellation near zero; the first term left out is below 3e-18. */
@@ -190,26 +190,17 @@ static void turn_by_gyro(odometry_state *state, const core_config *config, const
     state->spread.gyro_rad2 += variance_rad2;
 }
 
-static void measure_twist(odometry_state *state, const core_config *config, const motion *moved,
-                          double elapsed_s)
+/* Measure the twist by the wheels, and the turn rate by the gyro if that has the turn. */
+static void measure_twist(odometry_state *state, const core_config *config,
+                          const joint_feedback *feedback, const double *moved_u)
 {
-    const spread_state *spread = &state->spread;
-    double per_s = 1.0 / elapsed_s;
-    state->linear_m_s = moved->x_m * per_s;
-    state->angular_rad_s = moved->turn_rad * per_s;
-    state->twist_covariance[0] = config->twist_variance_floor_m2_s2 + spread->linear2_m2_s * per_s;
-    state->twist_covariance[1] = spread->linear_angular_m_rad_s * per_s;
-    state->twist_covariance[2] =
-        config->twist_variance_floor_rad2_s2 + spread->angular2_rad2_s * per_s;
-    if (state->used.strafes) {
-        state->lateral_m_s = moved->y_m * per_s;
-        state->lateral_covariance[0] = spread->linear_lateral_m2_s * per_s;
-        state->lateral_covariance[1] =
-            config->twist_variance_floor_m2_s2 + spread->lateral2_m2_s * per_s;
-        state->lateral_covariance[2] = spread->lateral_angular_m_rad_s * per_s;
+    if (!speed_take(state, config, feedback, moved_u)) {
+        return;
     }
+    state->twist_known = 1;
     if (state->by_gyro) {
         state->angular_rad_s = state->gyro.still ? 0.0 : state->gyro.rate_rad_s;
+        state->twist_covariance[1] = state->lateral_covariance[2] = 0.0; /* of different sensors */
         state->twist_covariance[2] =
             config->twist_variance_floor_rad2_s2 + state->gyro.rate_variance_rad2_s2;
     }
@@ -232,7 +223,8 @@ static void follow(odometry_state *state, const motion *moved)
     state->turned_rad += fabs(moved->turn_rad);
 }
 
-static void integrate(odometry_state *state, const core_config *config, const uint32_t *stale)
+static void integrate(odometry_state *state, const core_config *config,
+                      const joint_feedback *feedback, const uint32_t *stale)
 {
     arc found;
     collect(state, config, stale, &found);
@@ -246,14 +238,15 @@ static void integrate(odometry_state *state, const core_config *config, const ui
     if (!known) {
         /* some have only just begun: the others alone make no arc */
         state->degraded |= found.joints != 0;
+        speed_begin(&state->speed, state->stamp_ns);
         state->spread.stamp_ns =
             state->spread.stamp_ns == 0 ? state->stamp_ns : state->spread.stamp_ns;
         return;
     }
     motion moved = by_wheels(state, &found, config->joint_count);
+    const double moved_u[AXES] = {moved.x_m, moved.turn_rad, moved.y_m};
     if (config->module_count > 0 && before_ns > 0 && found.stamp_ns > before_ns) {
-        const double twist_u[AXES] = {moved.x_m, moved.turn_rad, moved.y_m};
-        modules_slip(state, config, found.joints, found.rim_m, twist_u,
+        modules_slip(state, config, found.joints, found.rim_m, moved_u,
                      (double)(found.stamp_ns - before_ns) * 1e-9);
     }
     turn_by_gyro(state, config, &found, &moved);
@@ -261,18 +254,41 @@ static void integrate(odometry_state *state, const core_config *config, const ui
     if (found.stamp_ns - state->spread.stamp_ns >= SPREAD_EVERY_NS) {
         spread_look(state, config, found.stamp_ns);
     }
-    if (before_ns > 0 && found.stamp_ns > before_ns) {
-        measure_twist(state, config, &moved, (double)(found.stamp_ns - before_ns) * 1e-9);
-    }
+    measure_twist(state, config, feedback, moved_u);
 }
 
-static uint32_t received(const core_config *config, const uint32_t *stale)
+/* Return the joints whose feedback is used: one bit each. */
+static uint32_t received(const odometry_state *state, const core_config *config,
+                         const uint32_t *stale)
 {
     uint32_t joints = 0;
     for (uint32_t j = 0; j < config->joint_count; j++) {
         joints |= (stale[j] ? 0U : 1U) << j;
     }
-    return joints;
+    return joints & ~state->distrusted;
+}
+
+static void take_sample(joint_odometry *joint, const joint_feedback *sample, double setpoint_rad_s,
+                        double timeout_s)
+{
+    if (sample->stamp_ns <= joint->stamp_ns) {
+        return;
+    }
+    if (!take_next(joint, sample)) {
+        take(joint, sample, setpoint_rad_s, timeout_s);
+    }
+    joint->stamp_ns = sample->stamp_ns;
+}
+
+/* Take the sample of a joint whose counter is wrong: its speed still shows whether it turns, but
+ * its travel does not count. */
+static void take_distrusted(joint_odometry *joint, const joint_feedback *sample, double timeout_s)
+{
+    double before_rad = joint->position_rad;
+    take_sample(joint, sample, 0.0, timeout_s);
+    joint->left_out_rad += joint->position_rad - before_rad;
+    joint->pending_rad = 0.0;
+    joint->fresh = SEED;
 }
 
 void odometry_step(odometry_state *state, const core_config *config, const joint_feedback *feedback,
@@ -285,19 +301,23 @@ void odometry_step(odometry_state *state, const core_config *config, const joint
             silent++;
             continue;
         }
-        if (feedback[j].stamp_ns > joint->stamp_ns) {
-            if (!take_next(joint, &feedback[j])) {
-                take(joint, &feedback[j], setpoint[j].velocity_rad_s, config->feedback_timeout_s);
-            }
-            joint->stamp_ns = feedback[j].stamp_ns;
+        if (state->distrusted >> j & 1U) {
+            silent++;
+            take_distrusted(joint, &feedback[j], config->feedback_timeout_s);
+            continue;
         }
+        take_sample(joint, &feedback[j], setpoint[j].velocity_rad_s, config->feedback_timeout_s);
         missing += joint->fresh == NOTHING;
     }
     if (silent != 0) {
         state->degraded = 1;
     }
-    state->blind = silent != 0 && !determined(state, config, received(config, stale));
+    state->blind = silent != 0 && !determined(state, config, received(state, config, stale));
+    if (state->blind) {
+        state->twist_known = 0;
+        speed_begin(&state->speed, 0); /* travel may be lost meanwhile */
+    }
     if (missing == 0 && !state->blind) {
-        integrate(state, config, stale);
+        integrate(state, config, feedback, stale);
     }
 }

@@ -108,17 +108,6 @@ static void grow_pose(odometry_state *state, const errors *of, double scrub_rad2
     p[5] += tt + scrub_rad2;
 }
 
-static void take_rates(spread_state *spread, const errors *of, double scrub_rad2, double elapsed_s)
-{
-    double per_s = 1.0 / elapsed_s;
-    spread->linear2_m2_s = of->linear2 * per_s;
-    spread->linear_angular_m_rad_s = of->linear_angular * per_s;
-    spread->angular2_rad2_s = (of->angular2 + scrub_rad2) * per_s;
-    spread->lateral2_m2_s = of->lateral2 * per_s;
-    spread->linear_lateral_m2_s = of->linear_lateral * per_s;
-    spread->lateral_angular_m_rad_s = of->lateral_angular * per_s;
-}
-
 /* Error of a wheel's estimated angle, which lasts for about a metre. */
 static const double ESTIMATED_RAD = 0.03;
 static const double ESTIMATED_FOR_M = 1.0;
@@ -165,9 +154,6 @@ void spread_look(odometry_state *state, const core_config *config, int64_t now_n
     }
     grow_pose(state, &found, scrub_rad2);
     spread_floor(state, config);
-    if (elapsed_s > 0.0) {
-        take_rates(spread, &found, scrub_rad2, elapsed_s);
-    }
     spread->stamp_ns = now_ns;
     spread->heading_rad = state->heading_rad;
     spread->x_m = spread->y_m = spread->gyro_rad2 = 0.0;

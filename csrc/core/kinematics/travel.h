@@ -13,6 +13,8 @@
  * counts as wrong. */
 static const double JUMP_MARGIN = 1.5;
 static const double JUMP_SLACK_COUNTS = 4.0;
+/* Acceleration that no wheel exceeds: of a hub motor at its greatest torque, without a load. */
+static const double WHEEL_RAD_S2 = 100.0;
 /* Relative error of a measured velocity: it is filtered, rounded to rpm, and late. */
 static const double VELOCITY_ERROR = 0.1;
 
@@ -113,6 +115,30 @@ static inline double travel_since(const joint_odometry *joint, const joint_feedb
            joint->constant.counter_rad;
 }
 
+/* Whether the counter has begun at zero again: it is nearer to zero than before, so near that the
+ * wheel may have turned there since, and the travel to it is more than twice what the speeds at
+ * both ends explain. Without a speed at both ends that is not known. */
+static inline bool restarted(const joint_odometry *joint, const joint_feedback *sample,
+                             double travel_rad, double elapsed_s)
+{
+    double before_rad_s = joint->velocity_rad_s, now_rad_s = sample->velocity_rad_s;
+    if (!isfinite(now_rad_s)) {
+        now_rad_s = before_rad_s != 0.0 ? before_rad_s : (double)NAN;
+    }
+    double most_rad_s = larger(fabs(before_rad_s), fabs(now_rad_s));
+    double explained_rad = joint->constant.counter_slack_rad + 2.0 * most_rad_s * elapsed_s +
+                           WHEEL_RAD_S2 * elapsed_s * elapsed_s;
+    if (!(fabs(travel_rad) > explained_rad) || joint->last != BELIEVED || isnan(before_rad_s)) {
+        return false;
+    }
+    uint32_t unused = joint->constant.counter_bits_unused;
+    double rad_per_count = fabs(joint->constant.counter_rad);
+    double from_zero_rad =
+               fabs((double)shortest_difference(sample->count, 0, unused)) * rad_per_count,
+           before_rad = fabs((double)shortest_difference(joint->count, 0, unused)) * rad_per_count;
+    return from_zero_rad < before_rad && from_zero_rad <= explained_rad;
+}
+
 static void believe(joint_odometry *joint, uint64_t count)
 {
     joint->last = BELIEVED;
@@ -191,7 +217,9 @@ static void take_count(joint_odometry *joint, const joint_feedback *sample, doub
     double travel_rad = travel_since(joint, sample, joint->count);
     double sure_rad = joint->since_rad += constant->reach_rad_s * elapsed_s;
     double reach_rad = sure_rad + joint->unused_rad;
-    bool known = sample->epoch == joint->epoch;
+    bool again = restarted(joint, sample, travel_rad, elapsed_s);
+    bool known = sample->epoch == joint->epoch && !again;
+    joint->jumps += again;
     /* whether it could have gone round the counter in the other direction */
     if (known && constant->counter_round_rad - fabs(travel_rad) <= sure_rad) {
         travel_rad = travel_by_turns(joint, sample, travel_rad, elapsed_s, timeout_s);
@@ -234,7 +262,8 @@ static inline bool take_next(joint_odometry *joint, const joint_feedback *sample
     double reach_rad = sure_rad + joint->unused_rad;
     double travel_rad = travel_since(joint, sample, joint->count), distance_rad = fabs(travel_rad);
     if (!(distance_rad + sure_rad < constant->counter_round_rad &&
-          distance_rad <= reach_rad + constant->counter_slack_rad)) {
+          distance_rad <= reach_rad + constant->counter_slack_rad) ||
+        restarted(joint, sample, travel_rad, sure_rad / constant->reach_rad_s)) {
         return false;
     }
     gather(joint, TRAVEL, travel_rad);

@@ -132,14 +132,16 @@ void board_received(board_machine *m, int64_t now_ns)
     m->received_ns = now_ns;
     bool kept = board_read(m);
     m->off_word_ns = m->off_first_ns > 0 ? now_ns : 0;
-    if (drive_is_cycled(&m->state)) {
-        board_publish(m);
-    }
-    if (drive_is_cycled(&m->state) && m->knows_ns >= m->written_ns) {
+    bool cycled = drive_is_cycled(&m->state);
+    if (cycled && m->knows_ns >= m->written_ns) {
         believe(m, kept, now_ns);
     }
+    if (cycled) {
+        board_publish(m); /* with the epoch that a lost set-up begins */
+    }
     if (m->state.mode == DRIVE_UNRESPONSIVE && !m->state.back && m->end.stage == END_NOT) {
-        board_begin_stop(m, drive_answers(&m->state), now_ns);
+        m->notify = true; /* the quick stop is in its payload */
+        board_begin_stop(m, drive_answers(&m->state, true), now_ns);
     }
 }
 

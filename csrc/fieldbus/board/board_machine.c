@@ -28,7 +28,8 @@ int board_machine_init(board_machine *m, const board_table *table, uint32_t epoc
     m->next = (uint16_t)(sequence + 1);
     m->cycle.due_ns = now_ns;
     memcpy(m->held, table->payload, sizeof m->held);
-    board_hold(m, table->disarm, table->disarm_count, now_ns);
+    /* what turns is braked: its set-up takes the power when it rests */
+    board_hold(m, table->quick_stop, table->quick_stop_count, now_ns);
     for (uint32_t i = 0; i < table->setpoint_count; i++) {
         m->joints |= 1U << table->setpoint[i].scale.joint;
     }

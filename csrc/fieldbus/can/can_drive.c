@@ -199,16 +199,41 @@ static void send_last_power_off(can_machine *m, uint32_t number)
         }
     }
     if (can_is_off(m, number)) {
+        drive->off_waits = false;
         m->notify |= drive_stop_done(&drive->state);
     }
 }
 
 void can_send_stop(can_machine *m, uint32_t number)
 {
+    can_drive_state *drive = &m->drive[number];
+    bool quick = drive->state.stop == STOP_QUICK;
     if (m->end.stage == END_POWER_OFF) {
         send_last_power_off(m, number);
-    } else if (send_stop(m, number, m->drive[number].state.stop == STOP_QUICK)) {
-        m->notify |= drive_stop_done(&m->drive[number].state);
+    } else if (send_stop(m, number, quick)) {
+        drive->off_waits = !quick && m->table.drive[number].reports_enabled != 0;
+        drive->off_ns = m->now_ns;
+        m->notify |= drive_stop_done(&drive->state);
+    }
+}
+
+/* That the bus took a power-off proves nothing: the drive's report does. In the modes without a
+ * cycle nothing else sends it again. */
+static bool waits_for_confirmation(const can_machine *m, uint32_t number)
+{
+    const can_drive_state *drive = &m->drive[number];
+    return drive->off_waits && m->end.stage == END_NOT && drive->missing == 0 &&
+           (drive->state.mode == DRIVE_OFF || drive->state.mode == DRIVE_BACK);
+}
+
+void can_confirm_off(can_machine *m, uint32_t number, int64_t now_ns)
+{
+    can_drive_state *drive = &m->drive[number];
+    drive->off_waits = drive->off_waits && drive->state.enabled != 0;
+    if (waits_for_confirmation(m, number) && drive->state.enabled == 1 &&
+        drive->state.stop == STOP_NOTHING && now_ns >= drive->off_ns + OFF_AGAIN_NS) {
+        drive->state.stop = drive_power_off(&drive->state); /* the same stop: not one more */
+        drive->stop_place = 0;
     }
 }
 
@@ -252,6 +277,7 @@ static void becomes_unresponsive(can_machine *m, uint32_t number, int64_t now_ns
     can_drive_state *drive = &m->drive[number];
     drive->unresponsive++;
     drive_unresponsive(&drive->state);
+    drive->off_waits = false; /* probes send it */
     m->notify = true;
     can_hold_nothing(m, number);
     if (m->end.stage == END_NOT) {
@@ -265,6 +291,12 @@ static void becomes_unresponsive(can_machine *m, uint32_t number, int64_t now_ns
     }
 }
 
+/* Return whether the probes of a silent drive brake it; later they take its power. */
+static bool probes_brake(const can_drive_state *drive, int64_t now_ns)
+{
+    return drive->may_turn && now_ns <= drive->unresponsive_since_ns + DRIVE_STOPPING_NS;
+}
+
 /* Probe a silent drive. It may still receive: if it may turn, it gets a stop. */
 static void probe(can_machine *m, uint32_t number, int64_t now_ns)
 {
@@ -274,12 +306,12 @@ static void probe(can_machine *m, uint32_t number, int64_t now_ns)
         return;
     }
     bool all_sent = true;
-    if (drive->may_turn && now_ns > drive->unresponsive_since_ns + DRIVE_STOPPING_NS) {
-        all_sent = write_all(m, number, table->disarm, table->disarm_count);
-    } else if (drive->may_turn) {
+    if (probes_brake(drive, now_ns)) {
         all_sent = write_all(m, number, table->quick_stop, table->quick_stop_count);
         send_setpoints(m, number, now_ns);
         all_sent = all_sent && !drive->state.sent_motion;
+    } else if (drive->may_turn) {
+        all_sent = write_all(m, number, table->disarm, table->disarm_count);
     }
     send_all(m, table->probe, table->probe_count);
     if (all_sent) { /* else the stop goes out again in the next cycle */
@@ -317,7 +349,8 @@ void can_guard(can_machine *m, uint32_t number, int64_t now_ns)
         becomes_unresponsive(m, number, now_ns);
     } else if (there && drive->state.mode == DRIVE_UNRESPONSIVE && !drive->state.back &&
                m->end.stage == END_NOT) {
-        can_begin_stop(m, number, drive_answers(&drive->state));
+        m->notify = true;
+        can_begin_stop(m, number, drive_answers(&drive->state, probes_brake(drive, now_ns)));
     }
     if (drive->state.stopping) {
         can_begin_stop(m, number,
@@ -338,8 +371,11 @@ static void begin_listening(can_drive_state *drive, int64_t now_ns)
 static void set_up(can_machine *m, uint32_t number, int64_t now_ns)
 {
     can_drive_state *drive = &m->drive[number];
-    drive->may_turn = drive->state.sent_motion || drive->state.stopping;
+    bool stops = drive->state.stop != STOP_NOTHING || drive->state.stopping;
+    drive->may_turn &= stops;
+    drive->state.sent_motion &= stops; /* zero would switch on a drive that has no power */
     drive->slow_cycles = 0;
+    drive->off_waits = false;
     can_forget(m, number);
     begin_listening(drive, now_ns);
 }
@@ -370,6 +406,7 @@ void can_obey_request(can_machine *m, uint32_t number, int64_t now_ns)
         set_up(m, number, now_ns);
     } else if (answer.request == REQUEST_ARM) {
         drive->may_turn = true;
+        drive->off_waits = false;
         drive->last_sent_ns = now_ns;
     }
 }
@@ -402,6 +439,9 @@ void can_cycle(can_machine *m, uint32_t number, int64_t now_ns)
     if (drive->state.mode == DRIVE_UNRESPONSIVE || absent) {
         probe(m, number, now_ns);
         return;
+    }
+    if (waits_for_confirmation(m, number)) {
+        send_all(m, table->poll, table->poll_count);
     }
     if (drive->state.mode != DRIVE_READY && drive->state.mode != DRIVE_ARMED) {
         return;

@@ -105,6 +105,7 @@ static void take_input(can_machine *m, uint32_t number, uint32_t place, const ca
     drive->known |= 1U << place;
     drive->power_ns = (drive->powers >> place & 1) != 0 ? now_ns : drive->power_ns;
     can_read(m, number, input, packet->data, stamp_ns);
+    can_confirm_off(m, number, now_ns);
     bool cyclic = drive->state.mode == DRIVE_READY || drive->state.mode == DRIVE_ARMED;
     if (cyclic && (drive->fast >> place & 1) != 0) {
         can_publish(m, number);
@@ -143,6 +144,24 @@ static uint32_t take_match(can_machine *m, uint32_t number, const can_match *mat
     return listening ? number : (uint32_t)CAN_FOR_NOBODY;
 }
 
+/* Note a frame of no drive. Another node that sends what motord sends can move the drives. */
+static void take_other(can_machine *m, uint32_t id)
+{
+    uint32_t low = 0, high = m->table.sending_count;
+    while (low < high) {
+        uint32_t middle = (low + high) / 2;
+        if (m->table.sending[middle] < id) {
+            low = middle + 1;
+        } else {
+            high = middle;
+        }
+    }
+    if (low < m->table.sending_count && m->table.sending[low] == id) {
+        m->foreign++;
+        m->foreign_sending = low;
+    }
+}
+
 uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns,
                              int64_t now_ns)
 {
@@ -161,12 +180,28 @@ uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t s
         known = true;
     }
     m->bad_frames += known;
+    if (!known) {
+        take_other(m, packet->id);
+    }
     return CAN_FOR_NOBODY;
 }
 
-void can_machine_left(can_machine *m)
+static bool carries_setpoints(const can_machine *m, uint32_t id)
 {
-    m->motion_since_ns = 0;
+    bool found = false;
+    for (uint32_t i = 0; i < m->table.drive_count; i++) {
+        for (uint32_t o = 0; o < m->table.drive[i].output_count; o++) {
+            found |= m->table.drive[i].output[o].packet.id == id;
+        }
+    }
+    return found;
+}
+
+void can_machine_left(can_machine *m, uint32_t id)
+{
+    if (carries_setpoints(m, id)) {
+        m->motion_since_ns = 0;
+    }
 }
 
 /* ------------------------------------------------------------------------------- orders */
@@ -339,6 +374,8 @@ void can_machine_report(const can_machine *m, can_report *report)
     report->sent = m->sent;
     report->tx_full = m->tx_full;
     report->bad_frames = m->bad_frames;
+    report->foreign = m->foreign;
+    report->foreign_sending = m->foreign_sending;
     report->cycle_ns = m->cycle.took_ns;
     report->setpoints_ns = m->newest.stamp_ns;
     for (uint32_t j = 0; j < JOINTS_MAX; j++) {
@@ -361,7 +398,7 @@ void can_machine_report(const can_machine *m, can_report *report)
             .received_ns = drive->newest_ns,
             .epoch = drive->state.epoch,
             .may_turn = drive->may_turn,
-            .stop_waits = drive->state.stop != STOP_NOTHING,
+            .stop_waits = drive->state.stop != STOP_NOTHING || drive->off_waits,
             .orders_sent = drive->orders_sent,
             .orders_dropped = drive->orders_dropped,
             .faults = drive->faults,

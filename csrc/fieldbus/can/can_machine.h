@@ -38,6 +38,8 @@ typedef struct {
     uint32_t missing;
     uint32_t stop_place;
     drive_last_off last_off;
+    bool off_waits;       /* the drive, which reports its power, has not confirmed its power-off */
+    int64_t off_ns;       /* time when that last went out */
     int64_t order_ns;     /* time when the newest order went out */
     int64_t power_ns;     /* time of the newest report of the drive's power */
     bool may_turn;        /* armed since its newest set-up, before the line was opened or after */
@@ -107,6 +109,8 @@ typedef struct {
     uint64_t sent;
     uint64_t tx_full;
     uint64_t bad_frames;
+    uint64_t foreign; /* like can_report, and the next one */
+    uint32_t foreign_sending;
     can_sender send;
     void *sink;
 } can_machine;
@@ -122,8 +126,8 @@ void can_take_over(can_machine *m, int64_t now_ns);
  * error frame, or CAN_FOR_NOBODY. */
 uint32_t can_machine_receive(can_machine *m, const can_packet *packet, int64_t stamp_ns,
                              int64_t now_ns);
-/* Note that a set-point frame of motord's has left. */
-void can_machine_left(can_machine *m);
+/* Note that a frame of motord's with this identifier has left. */
+void can_machine_left(can_machine *m, uint32_t id);
 /* Queue an order. Returns false if there is no room. */
 bool can_machine_order(can_machine *m, const can_order *order);
 /* Note that the loop has woken the line: set-points that differ from the last ones do not wait for
@@ -137,6 +141,10 @@ void can_machine_report(const can_machine *m, can_report *report);
 bool can_write_is_good(const can_write *write, uint32_t output_count);
 
 /* ------------------------------------------------------------------------- can_values.c */
+/* Return the CLOCK_MONOTONIC time when a frame came, from its age by its wall-clock stamp. That
+ * clock may be set while the frame is in transit: no frame is from the future, and none is older
+ * than the look that found the socket empty. */
+int64_t can_stamp_ns(int64_t age_ns, int64_t emptied_ns, int64_t now_ns);
 int64_t can_get(const uint8_t *data, const can_place *place);
 void can_put(uint8_t *data, const can_place *place, int64_t raw);
 /* Whether the frame of a cycle goes out: an unknown position holds it back. */
@@ -170,6 +178,8 @@ void can_obey_request(can_machine *m, uint32_t drive, int64_t now_ns);
 void can_guard(can_machine *m, uint32_t drive, int64_t now_ns);
 /* Compare the newest report of the drive's power with the expected state. */
 void can_check_power(can_machine *m, uint32_t drive, int64_t now_ns);
+/* Compare it with a power-off that the drive has not confirmed: it gets the power-off again. */
+void can_confirm_off(can_machine *m, uint32_t drive, int64_t now_ns);
 /* Begin the stop that the rules of drive_state.h have decided. */
 void can_begin_stop(can_machine *m, uint32_t drive, drive_stop stop);
 void can_stop_now(can_machine *m, uint32_t drive, uint32_t kind);

@@ -159,6 +159,10 @@ const char *can_table_check(const can_table *table, char *name)
     for (uint32_t i = 0; !f.bad && i < table->sync_count; i++) {
         check_packet(&f, &table->sync[i]);
     }
+    need(&f, table->sending_count <= CAN_SENDINGS_MAX, "sending_count");
+    for (uint32_t i = 1; !f.bad && i < table->sending_count; i++) {
+        need(&f, table->sending[i - 1] < table->sending[i], "sending");
+    }
     for (uint32_t i = 0; !f.bad && i < table->drive_count; i++) {
         (void)snprintf(f.path, sizeof f.path, "drive[%u].", i);
         check_drive(&f, &table->drive[i]);

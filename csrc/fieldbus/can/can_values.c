@@ -9,6 +9,11 @@
 static const double COUNT_MAX = 4611686018427387904.0; /* 2^62: the position of any counter is
                                                           smaller */
 
+int64_t can_stamp_ns(int64_t age_ns, int64_t emptied_ns, int64_t now_ns)
+{
+    return age_ns <= 0 ? now_ns : age_ns < now_ns - emptied_ns ? now_ns - age_ns : emptied_ns;
+}
+
 /* --------------------------------------------------------------------------------- bits */
 static uint32_t bit_shift(const can_place *place, uint32_t bit)
 {

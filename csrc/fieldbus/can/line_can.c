@@ -95,9 +95,7 @@ static void prepare_inbox(can_inbox *inbox)
     }
 }
 
-/* Return the CLOCK_MONOTONIC time when the kernel received a frame, from the age by its wall-clock
- * stamp. That clock may be set while the frame is in transit: no frame is from the future, and none
- * is older than the look that found the socket empty. */
+/* Return the time when the kernel received a frame; without a stamp of its own, now. */
 static int64_t stamp_of(struct msghdr *message, int64_t emptied_ns, int64_t now_ns, int64_t wall_ns)
 {
     for (struct cmsghdr *one = CMSG_FIRSTHDR(message); one != NULL;
@@ -106,9 +104,7 @@ static int64_t stamp_of(struct msghdr *message, int64_t emptied_ns, int64_t now_
             struct timespec stamp;
             memcpy(&stamp, CMSG_DATA(one), sizeof stamp);
             int64_t age_ns = wall_ns - (stamp.tv_sec * NS_PER_S + stamp.tv_nsec);
-            return age_ns <= 0                    ? now_ns
-                   : age_ns < now_ns - emptied_ns ? now_ns - age_ns
-                                                  : emptied_ns;
+            return can_stamp_ns(age_ns, emptied_ns, now_ns);
         }
     }
     return now_ns;
@@ -155,8 +151,8 @@ static int receive_batch(can_thread *t)
         /* the kernel has overwritten these lengths */
         inbox->message[i].msg_hdr.msg_controllen = CONTROL_BYTES;
         if ((inbox->message[i].msg_hdr.msg_flags & MSG_CONFIRM) != 0) {
-            can_machine_left(&t->machine); /* sent by this socket: linux
-                                              Documentation/networking/can.rst */
+            /* sent by this socket: linux Documentation/networking/can.rst */
+            can_machine_left(&t->machine, inbox->letter[i].frame.can_id);
             continue;
         }
         take_frame(t, &inbox->letter[i].frame, inbox->message[i].msg_len, stamp_ns, now_ns);

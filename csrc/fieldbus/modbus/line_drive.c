@@ -251,10 +251,10 @@ static void end_cycle(line_machine *m, uint32_t number)
     drive->stage = STAGE_IDLE;
     drive->cycle_count++;
     drive->count.cycles++;
-    line_publish(m, number);
     if (drive->lost_setup) {
         line_begin_stop(m, number, drive_lost_setup(&drive->state), drive->cycle_start_ns);
     }
+    line_publish(m, number);
     line_begin_stop(
         m, number,
         drive_end_stopping(&drive->state, line_at_rest(m, number), drive->cycle_start_ns),
@@ -443,7 +443,9 @@ void line_drive_answered(line_machine *m, uint32_t number, const uint8_t *reply,
     } else if (m->work == WORK_STOP) {
         stop_frame_answered(m, number, reply, now_ns);
     } else if (m->work == WORK_PROBE) {
-        line_begin_stop(m, number, drive_answers(&drive->state), now_ns);
+        bool brakes = drive->may_turn && !drive->probes_power_off;
+        m->notify = true;
+        line_begin_stop(m, number, drive_answers(&drive->state, brakes), now_ns);
     }
 }
 

@@ -7,7 +7,6 @@
 
 #include "line_machine.h"
 
-static const int64_t LATE_NS = 120 * LINE_MS;        /* least time after the request */
 static const int64_t SUSPICIOUS_NS = 2000 * LINE_MS; /* after a failure */
 /* for smaller differences, scheduling hides them */
 static const int64_t TOO_SOON_NS = LINE_MS / 2;
@@ -50,7 +49,7 @@ static int64_t turnaround_of(const line_machine *m, int64_t now_ns)
 static int64_t late_ns(const line_machine *m, uint32_t number)
 {
     int64_t twice_ns = 2 * m->table.drive[number].turnaround_ns;
-    return twice_ns > LATE_NS ? twice_ns : LATE_NS;
+    return twice_ns > m->table.late_ns ? twice_ns : m->table.late_ns;
 }
 
 /* Drop the ones that are older than the one at `first`. */
@@ -76,15 +75,16 @@ static uint32_t place_of(const line_drive_state *drive, const line_look *look)
     return place;
 }
 
-/* Return the end of the waiting time: each unanswered request may make the next reply later. */
-static int64_t until_ns(const line_machine *m, uint32_t number)
+/* Return the end of the waiting time: each unanswered request may make the next reply later. The
+ * drive has been free since `from_ns`, or answers nothing that is older. */
+static int64_t until_ns(const line_machine *m, uint32_t number, int64_t from_ns)
 {
     const line_drive_state *drive = &m->drive[number];
     uint32_t count = 0;
     for (uint32_t i = 0; i < drive->owed_count; i++) {
         count += drive->owed[i].count;
     }
-    return m->end_ns + smaller(count, OWED_MAX) * late_ns(m, number) +
+    return from_ns + smaller(count, OWED_MAX) * late_ns(m, number) +
            line_reply_ns(m, &m->transaction.frame);
 }
 
@@ -117,7 +117,7 @@ void line_owe(line_machine *m, uint32_t number)
         drop_at(drive, 0);
     }
     drive->owed[drive->owed_count++] = owed;
-    drive->owed[drive->owed_count - 1].until_ns = until_ns(m, number);
+    drive->owed[drive->owed_count - 1].until_ns = until_ns(m, number, m->end_ns);
     if (full) { /* more than can be distinguished: a silence clears them */
         drive->held_until_ns = drive->owed[drive->owed_count - 1].until_ns;
     }
@@ -194,7 +194,7 @@ void line_settle(line_machine *m, uint32_t number, int64_t now_ns)
         line_owed still = drive->owed[0];
         drop_at(drive, 0);
         drive->owed[drive->owed_count++] = still;
-        drive->owed[drive->owed_count - 1].until_ns = until_ns(m, number);
+        drive->owed[drive->owed_count - 1].until_ns = until_ns(m, number, m->end_ns);
     } else {
         int64_t sample_ns = turnaround_of(m, now_ns) + 1; /* + 1, because 0 means: not known */
         drive->least_ns =
@@ -215,7 +215,8 @@ void line_doubt(line_machine *m, uint32_t number, int64_t now_ns)
     }
     line_owe(m, number);
     line_owed *newest = &drive->owed[drive->owed_count - 1];
-    newest->count -= newest->count > 1; /* a late reply has come */
+    newest->count -= newest->count > 1; /* one of its replies has come */
+    newest->until_ns = until_ns(m, number, now_ns);
     drive->held_until_ns = newest->until_ns;
 }
 

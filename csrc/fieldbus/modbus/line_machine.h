@@ -126,6 +126,7 @@ typedef struct {
     bool stop_refused;
     uint32_t probe_place;
     uint32_t probes_at_once;
+    bool probes_power_off; /* its probes take the power off; before, they brake */
     uint32_t direction_sent[DRIVE_DIRECTIONS_MAX];
     uint32_t enabled_before; /* state.enabled at the beginning of its cycle */
     /* FORWARD or REVERSE, the newest of the two; 0: none yet */
@@ -147,6 +148,7 @@ typedef struct {
     line_owed owed[OWED_MAX]; /* in the order of their newest requests */
     int64_t probe_at_ns;
     int64_t probe_pause_ns;
+    int64_t braked_ns;   /* an unresponsive drive: from here on it may lose its power */
     int64_t answered_ns; /* time when the newest answered request had been sent */
     int64_t smoothed_ns; /* RFC 6298: SRTT, RTTVAR, RTO of the turn-around */
     int64_t variation_ns;

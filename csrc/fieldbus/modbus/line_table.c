@@ -218,6 +218,7 @@ const char *line_table_check(const line_table *table, char *name)
          isfinite(table->character_ns) && table->character_ns > 0.0 && table->character_ns <= 1e8,
          "character_ns");
     need(&f, table->gap_ns >= 0 && table->gap_ns <= PERIOD_MAX_NS, "gap_ns");
+    need(&f, table->late_ns >= 0 && table->late_ns <= PERIOD_MAX_NS, "late_ns");
     need(&f, table->setpoint_timeout_ns > 0 && table->setpoint_timeout_ns <= PERIOD_MAX_NS,
          "setpoint_timeout_ns");
     need(&f, isfinite(table->rest_velocity_rad_s) && table->rest_velocity_rad_s > 0.0,

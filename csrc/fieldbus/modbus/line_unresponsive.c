@@ -28,7 +28,21 @@ static uint32_t zero_exchanges(const line_machine *m, uint32_t number)
 static uint32_t stop_probes(const line_machine *m, uint32_t number)
 {
     const line_drive *table = &m->table.drive[number];
-    return m->drive[number].may_turn ? table->quick_stop_count + zero_exchanges(m, number) : 0;
+    if (!m->drive[number].may_turn) {
+        return 0;
+    }
+    return m->drive[number].probes_power_off ? table->disarm_count
+                                             : table->quick_stop_count + zero_exchanges(m, number);
+}
+
+/* Return whether the power-off of an unresponsive drive is due and not sent yet: it had the time to
+ * brake, and the core does not enable the drives any more (a disarm, or a fault that does not
+ * hold). */
+static bool power_off_is_due(const line_machine *m, uint32_t number, int64_t now_ns)
+{
+    const line_drive_state *drive = &m->drive[number];
+    bool enabled = line_fresh(m, now_ns) && m->newest.enabled == 1;
+    return drive->may_turn && !drive->probes_power_off && now_ns >= drive->braked_ns && !enabled;
 }
 
 void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
@@ -44,6 +58,8 @@ void line_becomes_unresponsive(line_machine *m, uint32_t number, int64_t now_ns)
     }
     drive->stage = STAGE_IDLE;
     drive->probe_place = 0;
+    drive->probes_power_off = false;
+    drive->braked_ns = now_ns + DRIVE_STOPPING_NS;
     drive->probes_at_once = stop_probes(m, number) + 1;
     drive->probe_pause_ns = PROBE_FIRST_NS;
     drive->probe_at_ns = now_ns;
@@ -83,9 +99,17 @@ void line_next_probe(line_machine *m, uint32_t number, int64_t now_ns, line_fram
 {
     line_drive_state *drive = &m->drive[number];
     const line_drive *table = &m->table.drive[number];
+    if (power_off_is_due(m, number, now_ns)) {
+        drive->probes_power_off = true;
+        drive->probe_place = 0;
+        drive->probes_at_once = table->disarm_count + 1;
+        drive->probe_pause_ns = PROBE_FIRST_NS;
+    }
     uint32_t stops = stop_probes(m, number);
     uint32_t place = drive->probe_place;
-    if (place < stops && place < table->quick_stop_count) {
+    if (place < stops && drive->probes_power_off) {
+        *out = table->disarm[place];
+    } else if (place < stops && place < table->quick_stop_count) {
         *out = table->quick_stop[place];
     } else if (place < stops) {
         (void)line_build(m, number, place - table->quick_stop_count, out);
@@ -107,8 +131,8 @@ uint32_t line_due_probe(const line_machine *m, bool may_turn, int64_t now_ns)
 {
     for (uint32_t i = 0; i < m->table.drive_count; i++) {
         const line_drive_state *drive = &m->drive[i];
-        bool due = drive->state.mode == DRIVE_UNRESPONSIVE && drive->probe_at_ns <= now_ns &&
-                   drive->silent_until_ns <= now_ns;
+        bool due = drive->state.mode == DRIVE_UNRESPONSIVE && drive->silent_until_ns <= now_ns &&
+                   (drive->probe_at_ns <= now_ns || power_off_is_due(m, i, now_ns));
         if (due && (drive->may_turn || !may_turn)) {
             return i;
         }

@@ -1,13 +1,12 @@
 /* SPDX-License-Identifier: Apache-2.0
  * arbiter.c: decides which lease is in command: the fresh one with the highest priority; among
- * equals the first. A lease that requests motion while nothing may move is held: its command counts
- * as zero until the lease has sent zero, or its command has lapsed. So a source that keeps sending
- * through a stop, or before arming, moves nothing. */
+ * equals the first. The command of a sender that is held (holds.c) counts as zero. */
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
 
 #include "fresh.h"
+#include "holds.h"
 #include "rt.h"
 
 _Static_assert(sizeof(command_datagram) == COMMAND_BYTES, "docs/commands.md promises this layout");
@@ -25,18 +24,20 @@ typedef struct {
     command_datagram twist;
     joint_command joints;
     bool possible; /* the robot can carry it out, if it is finite */
+    bool clamps;   /* a position beyond its range means its end */
+    uint32_t sender;
 } request;
 
 static const int64_t NS_PER_MS = 1000000;
-enum {
-    BURST = 4,
-    SMOOTH = 8
-}; /* commands that may come early; weight of the newest interval: 1/SMOOTH */
-/* Least lifetime. A shorter one would lapse between two commands, and end the hold of a held
- * lease. */
+/* commands that may come early; weight of the newest interval: 1/SMOOTH */
+enum { BURST = 4, SMOOTH = 8 };
+/* Least lifetime. A shorter one would lapse between two commands. */
 static const int64_t LIFETIME_LEAST_NS = 20000000;
 static const double OUT_OF_RANGE = 10.0; /* times the limit: beyond it, a unit is wrong or a program
                                             broken, and the speed is not scaled down */
+/* How far a position may be beyond its range, for rounding: it means the end then. A degree is more
+ * than its like in radians, so any farther one may have a wrong unit. */
+static const double BEYOND_RAD = 0.02;
 
 void arbiter_init(arbiter *a, const core_config *base, const base_limits *limits)
 {
@@ -53,6 +54,14 @@ void arbiter_resume(arbiter *a, int64_t resumed_ns)
     }
 }
 
+void arbiter_arm(arbiter *a, int64_t now_ns)
+{
+    for (uint32_t i = 0; i < LEASES_MAX; i++) {
+        holds_arm(&a->senders[i], now_ns);
+        holds_show(&a->senders[i], &a->report.lease[i]);
+    }
+}
+
 static bool alive(const lease_state *lease, int64_t now_ns)
 {
     return lease->number != 0 && lease->sequence != 0 && now_ns < lease->expires_ns;
@@ -60,20 +69,32 @@ static bool alive(const lease_state *lease, int64_t now_ns)
 
 void arbiter_grant(arbiter *a, const lease_permissions *permissions)
 {
-    lease_state kept[LEASES_MAX];
-    memset(kept, 0, sizeof kept);
+    bool let_go = permissions->releases != a->permissions.releases;
+    lease_state kept[LEASES_MAX] = {0};
+    lease_senders senders[LEASES_MAX] = {0};
     for (uint32_t i = 0; i < LEASES_MAX; i++) {
-        kept[i].number = permissions->lease[i].number;
-        kept[i].priority = permissions->lease[i].priority;
-        for (uint32_t before = 0; before < LEASES_MAX && kept[i].number != 0; before++) {
-            if (a->report.lease[before].number == kept[i].number) {
+        const lease_permission *grant = &permissions->lease[i];
+        kept[i].number = grant->number;
+        for (uint32_t before = 0; before < LEASES_MAX && grant->number != 0; before++) {
+            if (a->report.lease[before].number == grant->number) {
                 kept[i] = a->report.lease[before];
-                kept[i].priority = permissions->lease[i].priority;
+                senders[i] = a->senders[before];
             }
         }
+        kept[i].priority = grant->priority;
+        if (let_go) {
+            holds_clear(&senders[i]);
+            kept[i].barred_ns = 0;
+        }
+        if (grant->number != 0 && grant->barred_ns > kept[i].barred_ns) {
+            holds_inherit(&senders[i], grant->barred_ns);
+            kept[i].barred_ns = grant->barred_ns;
+        }
+        holds_show(&senders[i], &kept[i]);
     }
     a->permissions = *permissions;
     memcpy(a->report.lease, kept, sizeof kept);
+    memcpy(a->senders, senders, sizeof senders);
 }
 
 /* Compare tokens, in the same time for a right token and a wrong one. */
@@ -136,10 +157,15 @@ static bool too_often(const lease_permission *grant, lease_state *lease, int64_t
     return false;
 }
 
+/* Measure the time between commands. The pause after a request that has ended does not count. */
 static void measure_interval(lease_state *lease, int64_t now_ns)
 {
+    bool lapsed = !alive(lease, now_ns), ended = lapsed && lease->wants_motion == 0;
     int64_t interval_ns = now_ns - lease->taken_ns;
-    if (lease->interval_ns > 0) {
+    lease->lapses = lapsed && !ended ? lease->lapses + 1 : 0;
+    if (ended) {
+        lease->interval_ns = 0;
+    } else if (lease->interval_ns > 0) {
         lease->interval_ns += (interval_ns - lease->interval_ns) / SMOOTH;
     } else if (lease->taken_ns > 0) {
         lease->interval_ns = interval_ns;
@@ -181,16 +207,24 @@ static bool is_finite(const request *wanted)
     return finite;
 }
 
-static bool joints_in_range(const arbiter *a, const joint_command *joints)
+static bool position_in_range(const position_config *own, double position_rad)
+{
+    return position_rad >= own->position_min_rad - BEYOND_RAD &&
+           position_rad <= own->position_max_rad + BEYOND_RAD;
+}
+
+static bool joints_in_range(const arbiter *a, const request *wanted)
 {
     bool within = true;
     for (uint32_t j = 0; j < a->base->joint_count; j++) {
         const joint_config *joint = &a->base->joint[j];
-        double low =
-            takes_position(a, j) ? joint->position.position_min_rad : joint->velocity_min_rad_s;
-        double high =
-            takes_position(a, j) ? joint->position.position_max_rad : joint->velocity_max_rad_s;
-        within &= fabs(joints->value_u[j]) <= OUT_OF_RANGE * larger(-low, high);
+        double value_u = wanted->joints.value_u[j];
+        if (!takes_position(a, j)) {
+            double most_rad_s = larger(-joint->velocity_min_rad_s, joint->velocity_max_rad_s);
+            within &= fabs(value_u) <= OUT_OF_RANGE * most_rad_s;
+        } else if (wanted->joints.named >> j & 1U) {
+            within &= wanted->clamps || position_in_range(&joint->position, value_u);
+        }
     }
     return within;
 }
@@ -204,7 +238,7 @@ static bool in_range(const arbiter *a, const request *wanted)
         return true;
     }
     if (a->base->independent) {
-        return joints_in_range(a, &wanted->joints);
+        return joints_in_range(a, wanted);
     }
     const base_limits *file = &a->base->limits, *now = a->limits != NULL ? a->limits : file;
     double linear_m_s = larger(file->linear.velocity_u_s, now->linear.velocity_u_s);
@@ -227,11 +261,22 @@ static void count_impossible(arbiter *a, const command_datagram *command)
     a->report.on_spot += on_spot && !kinematics_spins(a->base);
 }
 
+/* Whether a command moves nothing, and takes nothing from another sender of its lease: the sender
+ * is held, the other one commands. */
+static bool is_idle(const lease_senders *senders, uint32_t sender, const lease_state *lease,
+                    int64_t now_ns)
+{
+    return sender != senders->newest && holds_sender(senders, sender) && alive(lease, now_ns) &&
+           lease->wants_motion != 0 && lease->held == 0;
+}
+
 static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_ns, bool may_move)
 {
     const command_datagram *command = &wanted->twist;
     const lease_permission *grant = &a->permissions.lease[place];
     lease_state *lease = &a->report.lease[place];
+    lease_senders *senders = &a->senders[place];
+    uint32_t sender = wanted->sender;
     int64_t life_ns = lifetime_ns(grant, command);
     if (!is_new(lease, command->sequence)) {
         return refuse(a, REFUSED_SEQUENCE);
@@ -249,12 +294,18 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     if (motion && too_often(grant, lease, now_ns)) {
         return refuse(a, REFUSED_RATE);
     }
-    measure_interval(lease, now_ns);
-    lease->since = alive(lease, now_ns) ? lease->since : ++a->comers;
-    bool left_held = grant->barred_until_ns > lease->lifted_ns && now_ns < grant->barred_until_ns;
-    bool barred = alive(lease, now_ns) ? lease->held != 0 : left_held;
-    lease->lifted_ns = grant->barred_until_ns; /* from now on lease->held contains it */
+    if (good) { /* else what was open or held stays so: the command was not zero */
+        holds_note(senders, sender, motion, now_ns, may_move);
+    }
     lease->sequence = command->sequence;
+    if (motion && is_idle(senders, sender, lease, now_ns)) {
+        holds_show(senders, lease);
+        a->report.accepted++;
+        return 0;
+    }
+    measure_interval(lease, now_ns);
+    senders->newest = sender;
+    lease->since = alive(lease, now_ns) ? lease->since : ++a->comers;
     lease->stamp_ns = command->stamp_ns;
     lease->expires_ns = command->stamp_ns + life_ns;
     lease->linear_m_s = good ? command->linear_m_s : 0.0;
@@ -262,9 +313,8 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     lease->lateral_m_s = good ? command->lateral_m_s : 0.0;
     lease->joints = good ? wanted->joints : (joint_command){0};
     lease->wants_motion = motion;
-    lease->held = motion && (!may_move || barred);
+    holds_show(senders, lease);
     if (!good) {
-        lease->held = barred; /* the command was not zero */
         return refuse(a, !finite             ? REFUSED_NOT_FINITE
                          : !wanted->possible ? REFUSED_JOINTS
                                              : REFUSED_OUT_OF_RANGE);
@@ -274,15 +324,18 @@ static int take(arbiter *a, uint32_t place, const request *wanted, int64_t now_n
     return 0;
 }
 
-/* Read the datagram as a twist; missing fields stay zero. */
-static bool read_form(const void *datagram, size_t bytes, command_datagram *command)
+/* Read the datagram as a twist, and its sender; missing fields stay zero. */
+static bool read_form(const void *datagram, size_t bytes, request *wanted)
 {
+    command_datagram *command = &wanted->twist;
     if (bytes != COMMAND_BYTES && bytes != COMMAND_BYTES_PLANE && bytes != JOINT_COMMAND_BYTES &&
         bytes != JOINT_POSITION_BYTES) {
         return false;
     }
     memcpy(command, datagram, bytes < sizeof *command ? bytes : sizeof *command);
-    if (command->magic != COMMAND_MAGIC) {
+    wanted->sender = command->kind >> SENDER_SHIFT;
+    command->kind &= (1 << SENDER_SHIFT) - 1;
+    if (command->magic != COMMAND_MAGIC || wanted->sender >= SENDERS_MAX) {
         return false;
     }
     if (command->version == COMMAND_VERSION_POSITIONS) {
@@ -356,6 +409,8 @@ static void read_joints(const arbiter *a, const void *datagram, size_t bytes, re
 {
     joint_position_datagram from;
     read_joint_datagram(a, datagram, bytes, &from);
+    wanted->clamps = (from.positions & POSITIONS_CLAMP) != 0;
+    from.positions &= ~(uint32_t)POSITIONS_CLAMP;
     wanted->twist.linear_m_s = wanted->twist.angular_rad_s = wanted->twist.lateral_m_s = 0.0;
     if (a->base == NULL || from.head.joint_count != a->base->joint_count) {
         wanted->possible = false;
@@ -369,7 +424,7 @@ static void read_joints(const arbiter *a, const void *datagram, size_t bytes, re
 int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_ns, bool may_move)
 {
     request wanted = {.possible = true};
-    if (!read_form(datagram, bytes, &wanted.twist)) {
+    if (!read_form(datagram, bytes, &wanted)) {
         return refuse(a, REFUSED_FORM);
     }
     uint32_t place = find(a, wanted.twist.token);
@@ -378,6 +433,9 @@ int arbiter_submit(arbiter *a, const void *datagram, size_t bytes, int64_t now_n
     }
     if (wanted.twist.kind == COMMAND_RELEASE) {
         a->report.lease[place].expires_ns = 0;
+        a->report.lease[place].wants_motion = 0;
+        holds_note(&a->senders[place], wanted.sender, false, now_ns, may_move);
+        holds_show(&a->senders[place], &a->report.lease[place]);
         a->report.accepted++;
         return 0;
     }
@@ -396,10 +454,13 @@ static const lease_state *commander(arbiter *a, int64_t now_ns, bool may_move)
     for (uint32_t i = 0; i < LEASES_MAX; i++) {
         lease_state *lease = &a->report.lease[i];
         lease->fresh = alive(lease, now_ns);
+        if (!may_move && lease->open != 0) { /* also one that has lapsed: it may come late */
+            holds_stop(&a->senders[i], now_ns);
+            holds_show(&a->senders[i], lease);
+        }
         if (lease->fresh == 0) {
             continue;
         }
-        lease->held |= !may_move && lease->wants_motion != 0;
         bool better = best == NULL || lease->priority > best->priority ||
                       (lease->priority == best->priority && lease->since < best->since);
         best = better ? lease : best;

@@ -17,7 +17,15 @@ TOKEN_BYTES = 16
 TWIST = 1
 RELEASE = 2
 JOINTS = 3
+SENDER_SHIFT = 8
+SENDERS_NAMED = range(1, 31)
+"""Numbers of senders that share a lease; the sender of a lease that is not shared is 0."""
+SENDER_UNNAMED = 31
+"""Number of all senders of a lease that its program cannot distinguish."""
 JOINTS_MAX = 8
+POSITIONS_CLAMP = 1 << 30
+BEYOND_RAD = 0.02
+"""How far a position may be beyond its range, as in csrc/loop/command/arbiter.c."""
 _PLACES = range(JOINTS_MAX)
 _LAYOUT = struct.Struct("<IHH16sQqIIddd")
 _JOINTS_LAYOUT = struct.Struct(f"<IHH16sQqII{JOINTS_MAX}d")
@@ -49,7 +57,8 @@ class LeaseGrant:
     lifetime_ns: int
     interval_least_ns: int = 0
     """Commands that come more often than this are refused, except zero commands; 0: no limit."""
-    barred_until_ns: int = 0
+    barred_ns: int = 0
+    """When another lease of the owner was held that has ended; 0: never."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +67,7 @@ class LeaseState:
 
     number: int
     held: bool
+    """Whether its command counts as zero; only a zero, or a person, ends that."""
     sequence: int
     """Sequence number of the last command; 0: no command has come."""
     stamp_ns: int
@@ -72,6 +82,16 @@ class LeaseState:
     lateral_m_s: float = 0.0
     wants_motion: bool = False
     """Whether a value other than zero was requested."""
+    open: bool = False
+    """Whether motion was requested, and neither zero nor an end since, however long ago."""
+    lapses: int = 0
+    """Commands in a row that came after the one before had expired."""
+    held_ns: int = 0
+    """When the first of its senders that are held was held, CLOCK_MONOTONIC."""
+    senders_held: int = 0
+    """Number of its senders that are held, also those that are silent now."""
+    taken_ns: int = 0
+    """When the newest command came, CLOCK_MONOTONIC."""
     joint_values_u: Mapping[int, float] = field(default_factory=dict)
     """Requested value of each joint of a robot without a base, by joint index: rad for a joint that
     takes positions, otherwise rad/s."""
@@ -107,9 +127,20 @@ def datagram(
     lateral_m_s: float = 0.0,
     lifetime_ms: int = 0,
     kind: int = TWIST,
+    sender: int = 0,
 ) -> bytes:
-    """Return a command of a twist. `stamp_ns` is CLOCK_MONOTONIC; lifetime 0: that of the lease."""
-    head = (MAGIC, VERSION, kind, token, sequence, stamp_ns, lifetime_ms, 0)
+    """Return a command of a twist. `stamp_ns` is CLOCK_MONOTONIC; lifetime 0: that of the lease.
+    `sender`: 0, one of SENDERS_NAMED, or SENDER_UNNAMED."""
+    head = (
+        MAGIC,
+        VERSION,
+        kind | sender << SENDER_SHIFT,
+        token,
+        sequence,
+        stamp_ns,
+        lifetime_ms,
+        0,
+    )
     return _LAYOUT.pack(*head, linear_m_s, angular_rad_s, lateral_m_s)
 
 
@@ -120,10 +151,13 @@ def joint_datagram(
     velocity_rad_s: Sequence[float],
     *,
     lifetime_ms: int = 0,
+    sender: int = 0,
 ) -> bytes:
-    """Return a command of all wheels, in the order of the robot file, at most JOINTS_MAX."""
+    """Return a command of all wheels, in the order of the robot file, at most JOINTS_MAX. `sender`:
+    as for `datagram`."""
     padded = (*velocity_rad_s, *([0.0] * (JOINTS_MAX - len(velocity_rad_s))))
-    head = (MAGIC, VERSION, JOINTS, token, sequence, stamp_ns, lifetime_ms, len(velocity_rad_s))
+    kind, joint_count = JOINTS | sender << SENDER_SHIFT, len(velocity_rad_s)
+    head = (MAGIC, VERSION, kind, token, sequence, stamp_ns, lifetime_ms, joint_count)
     return _JOINTS_LAYOUT.pack(*head, *padded)
 
 
@@ -136,11 +170,39 @@ def position_datagram(
     position_rad: Mapping[int, float],
     *,
     lifetime_ms: int = 0,
+    clamp: bool = False,
+    sender: int = 0,
 ) -> bytes:
     """Return a command of joints without a base, by their index in the robot file. A joint that is
     left out comes to rest or, if it takes positions, goes on to its last position from this
-    lease."""
-    head = (MAGIC, POSITIONS_VERSION, JOINTS, token, sequence, stamp_ns, lifetime_ms, joint_count)
+    lease. `clamp`: a position beyond its joint's range means the end of the range; otherwise the
+    command is refused. `sender`: as for `datagram`."""
+    kind_of = JOINTS | sender << SENDER_SHIFT
+    head = (MAGIC, POSITIONS_VERSION, kind_of, token, sequence, stamp_ns, lifetime_ms, joint_count)
     values = [kind.get(j, 0.0) for kind in (velocity_rad_s, position_rad) for j in _PLACES]
-    masks = (sum(1 << j for j in kind) for kind in (velocity_rad_s, position_rad))
-    return _POSITIONS_LAYOUT.pack(*head, *values, *masks)
+    velocities, positions = (sum(1 << j for j in kind) for kind in (velocity_rad_s, position_rad))
+    positions |= POSITIONS_CLAMP if clamp else 0
+    return _POSITIONS_LAYOUT.pack(*head, *values, velocities, positions)
+
+
+MARGINS = {"rad": BEYOND_RAD, "m/s": 0.001, "rad/s": 0.001}
+"""How far a value may be beyond its range, by its unit, for rounding: it means the end then."""
+
+
+def out_of_range(name: str, value: float, low: float, high: float, unit: str) -> str:
+    """Return that a value is beyond its range, with the range and the unit; empty: it is not. For
+    every command whose value has a range of its own. A twist has none: a joystick and Nav2 request
+    more than the limits as a matter of course, and the core scales it (docs/commands.md)."""
+    if low - MARGINS[unit] <= value <= high + MARGINS[unit]:
+        return ""
+    return f"{name} = {value:g} is beyond its range, {low:g} to {high:g} {unit}"
+
+
+def beyond(ranges_rad: Mapping[str, tuple[float, float]], position_rad: Mapping[str, float]) -> str:
+    """Return which positions are beyond the ranges of their joints, in words; empty: none is. The
+    loop refuses these by the same rule (csrc/loop/command/arbiter.c), and gives no names."""
+    found = (
+        out_of_range(name, value_rad, *ranges_rad[name], "rad")
+        for name, value_rad in position_rad.items()
+    )
+    return "; ".join(filter(None, found))

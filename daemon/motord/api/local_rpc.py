@@ -11,6 +11,8 @@ from typing import Any
 REFUSED = -32000
 NOT_ALLOWED = -32001
 INVALID_PARAMS = -32602
+NEEDS_FORCE = -32002
+"""Refused, but taken with `force`: the answer gives the reason."""
 _NOT_SENT = (float("inf"), float("-inf"))
 
 
@@ -57,7 +59,7 @@ def result_of(answer: Mapping[str, Any]) -> Any:
     if problem is None:
         return answer.get("result")
     message, code = str(problem.get("message")), int(problem.get("code", 0))
-    if code in (REFUSED, NOT_ALLOWED):
+    if code in (REFUSED, NOT_ALLOWED, NEEDS_FORCE):
         raise Refused(message, code)
     raise WrongParams(message) if code == INVALID_PARAMS else ClientError(message)
 
@@ -79,8 +81,11 @@ def drive_params(
 def joints_params(
     position_rad: Mapping[str, float] | None,
     velocity_rad_s: Mapping[str, float] | None,
+    *,
+    clamp: bool,
     **lease: Any,
 ) -> dict[str, Any]:
     """Return the parameters of the method `joints`."""
     wanted = given(position_rad=position_rad, velocity_rad_s=velocity_rad_s)
-    return {name: dict(values) for name, values in wanted.items()} | given(**lease)
+    params = {name: dict(values) for name, values in wanted.items()} | given(**lease)
+    return params | ({"clamp": True} if clamp else {})

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Literal
 
-from motord.api.snapshot import Snapshot
+from motord.api.commands import out_of_range
+from motord.api.snapshot import Snapshot, stamp_is_fresh
 
 Axis = Literal["linear", "angular"]
 LAG_S = 0.15
@@ -178,9 +179,16 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
         raise ValueError(
             f"a time-out of {goal.timeout_s:g} s is too long (at most {TIMEOUT_MAX_S:g} s)"
         )
-    velocity_u_s = min(goal.velocity_u_s or bounds.velocity_u_s, bounds.velocity_u_s)
+    unit, most_u_s = "m/s", bounds.velocity_u_s
     if goal.axis == "angular":
-        velocity_u_s = min(velocity_u_s, TURN_RATE_MAX_RAD_S)
+        unit, most_u_s = "rad/s", min(most_u_s, TURN_RATE_MAX_RAD_S)
+    for why in (
+        out_of_range("the speed", goal.velocity_u_s, 0.0, most_u_s, unit),
+        out_of_range("the direction", goal.direction_rad, -math.tau, math.tau, "rad"),
+    ):
+        if why:
+            raise ValueError(f"{why}: check the unit")
+    velocity_u_s = min(goal.velocity_u_s or most_u_s, most_u_s)
     tolerance_u = goal.tolerance_u or TOLERANCE_U[goal.axis]
     least_s = bounds.duration_s(goal.distance_u, velocity_u_s)
     return Plan(
@@ -196,13 +204,13 @@ def planned(goal: Goal, bounds: Bounds) -> Plan:
 
 def problem(snapshot: Snapshot, now_ns: int, stale_s: float) -> str | None:
     """Return why the odometry cannot be used; None: it can."""
-    if (now_ns - snapshot.stamp_ns) * _NS > stale_s:
+    if not stamp_is_fresh(now_ns, snapshot.stamp_ns, stale_s):
         return "the loop has stopped publishing its state"
     if any(joint.stale for joint in snapshot.joints):
         return "the odometry is stale: a wheel sends no feedback"
-    if (now_ns - snapshot.odometry_stamp_ns) * _NS > stale_s:
+    if not stamp_is_fresh(now_ns, snapshot.odometry_stamp_ns, stale_s):
         return "the odometry is stale"
-    pose = (snapshot.x_m, snapshot.y_m, snapshot.heading_rad, snapshot.odometry_stamp_ns)
+    pose = (snapshot.x_m, snapshot.y_m, snapshot.heading_rad)
     return None if all(map(math.isfinite, pose)) else "the odometry is not a number"
 
 
@@ -373,7 +381,7 @@ class Motion:
         if not snapshot.at_rest:
             self._rest_ns = None
             if (now_ns - self._ending_ns) * _NS > RESTS_WITHIN_S + self._ramp_s():
-                return MotionStep(end=End.ABORTED, why="it does not come to rest")
+                return MotionStep(end=End.ABORTED, why="it was not seen to come to rest")
             return MotionStep()
         self._rest_ns = now_ns if self._rest_ns is None else self._rest_ns
         if how is End.SUCCEEDED and abs(self.remaining_u) > self.plan.tolerance_u:

@@ -27,6 +27,8 @@ PAGE, JOURNAL = ".page", ".journal"
 SERVICE_FOLDER = Path("/run/motord")
 """Folder of the service; its owner is the user that the service runs as."""
 _PID_OFFSET, _PID_BYTES = 28, 4
+_HEADER_BYTES, _WORD_BYTES = 64, 8
+_LOCKS = Path("/proc/locks")
 _TRIES = 10
 _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 _LOCK = struct.Struct("hhqqi4x")
@@ -50,7 +52,7 @@ def find_page(name: str, suffix: str = PAGE, owner: int | None = None) -> Path:
     owners = [owner] if owner is not None else [os.geteuid(), *_service_user(), 0]
     found = [folder / (name + suffix) for uid in owners for folder in folders_of(uid)]
     there = [path for path in found if path.exists()]
-    living = [path for path in there if _writer_lives(path)]
+    living = [path for path in there if writer_lives(path)]
     return next(iter(living or there), SHARED / f"motord-{owners[0]}" / (name + suffix))
 
 
@@ -61,7 +63,8 @@ def _service_user() -> list[int]:
         return []
 
 
-def _writer_lives(path: Path) -> bool:
+def writer_lives(path: Path) -> bool:
+    """Return whether a daemon that lives has locked the page."""
     try:
         fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError:
@@ -70,6 +73,22 @@ def _writer_lives(path: Path) -> bool:
         return _is_locked_by_a_writer(fd)
     finally:
         os.close(fd)
+
+
+def writer_pid(path: Path) -> int | None:
+    """Return the process that has locked the page, as the kernel knows it: the number in the page
+    outlives its process. None: nothing is locked, or /proc does not show the process here."""
+    try:
+        file = path.stat(follow_symlinks=False)
+        locks = _LOCKS.read_text(encoding="ascii").splitlines()
+    except (OSError, UnicodeError):
+        return None
+    place = f"{os.major(file.st_dev):02x}:{os.minor(file.st_dev):02x}:{file.st_ino}"
+    for lock in locks:
+        _, kind, _, access, pid, where, *_ = lock.split()
+        if (kind, access, where) == ("FLOCK", "WRITE", place) and int(pid) > 0:
+            return int(pid)
+    return None
 
 
 def _is_private(path: Path, uid: int) -> bool:
@@ -95,6 +114,15 @@ def _own_folder() -> Path:
 def own_page(name: str) -> Path:
     """Return where this user's daemon keeps the state page of the robot `name`. Raises OSError."""
     return _own_folder() / (name + PAGE)
+
+
+def slots_fit(file_bytes: int, count: int, stride: int, offset: int, slot_bytes: int) -> bool:
+    """Return whether the slots that a header describes (all but `count` in bytes) lie inside the
+    file, at words of 64 bits, and do not overlap. A reader uses no number of a header before
+    this."""
+    aligned = stride % _WORD_BYTES == 0 and offset % _WORD_BYTES == 0
+    apart = count >= 1 and stride >= slot_bytes
+    return aligned and apart and offset >= _HEADER_BYTES and offset + count * stride <= file_bytes
 
 
 class PageFile:

@@ -12,11 +12,13 @@ U32 = int
 Doubles3 = tuple[float, ...]
 Doubles6 = tuple[float, ...]
 Doubles8 = tuple[float, ...]
+Stamps8 = tuple[int, ...]
 Reasons = tuple[str, ...]
 Faults = tuple[str, ...]
 FirstFault = str
 DeratedBy = str
 GyroState = str
+RestWord = str
 PAGE_LAYOUT_VERSION = 1
 
 
@@ -32,7 +34,7 @@ class JointSnapshot:
     voltage_v: float
     temperature_c: float
     feedback_age_s: float  # INFINITY: never received
-    drive_faults: U32
+    drive_faults: U32  # as received last
     enabled: bool | None
     stale: bool  # older than feedback_timeout_s
     jumps: U32  # counter jumps refused so far
@@ -50,7 +52,7 @@ class JointStatus:
     voltage_v: float | None = None
     temperature_c: float | None = None
     feedback_age_s: float | None = None  # INFINITY: never received
-    drive_faults: int = 0
+    drive_faults: int = 0  # as received last
     enabled: bool | None = None
     stale: bool = False  # older than feedback_timeout_s
     jumps: int = 0  # counter jumps refused so far
@@ -131,7 +133,8 @@ class PlainSnapshot:
     faults: Faults  # latched
     armed: bool  # the core itself is armed
     enabled: bool  # the drives are to have power
-    at_rest: bool  # set-points are zero and every fresh wheel is slower than rest_velocity_rad_s
+    at_rest: bool  # set-points are zero and every wheel was seen slower than rest_velocity_rad_s;
+    # 0: it turns, or that is unknown: see rest_shown
     odometry_degraded: bool  # a wheel is stale, or has no counter
     odometry_epoch: U32  # odometry resets so far
     dt_s: float
@@ -147,10 +150,10 @@ class PlainSnapshot:
     heading_rad: float  # -pi..pi
     distance_m: float  # travelled, in any direction; never falls
     turned_rad: float  # sum of |turn|, never falls
-    linear_m_s: float  # measured
+    linear_m_s: float  # measured; NaN: the wheels with fresh feedback do not determine it
     angular_rad_s: float
     pose_covariance: Doubles6  # xx, xy, xh, yy, yh, hh in m2, m rad, rad2
-    twist_covariance: Doubles3  # vv, vw, ww
+    twist_covariance: Doubles3  # vv, vw, ww; NaN: as linear_m_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -162,7 +165,7 @@ class LateralSnapshot(PlainSnapshot):
     lateral_m_s: float  # measured, positive to the left
     slip_m_s: float  # root mean square of the rims' speeds that no motion of the base explains
     lateral_covariance: Doubles3  # of the measured twist: vx vy, vy vy, vy w in m2/s2, m2/s2, m
-    # rad/s2
+    # rad/s2; NaN: as linear_m_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,3 +177,24 @@ class SteeringSnapshot(LateralSnapshot):
     # known yet
     position_joints: U32  # bit n: joint n takes positions, and its position_rad is its angle
     position_unknown: U32  # bit n: the position of joint n is unknown
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestSnapshot(SteeringSnapshot):
+    """Adds whether the robot rests."""
+
+    rest_unknown_since_ns: Stamps8  # tick since which it is unknown whether joint n turns; 0: it is
+    # known
+    rest: RestWord
+    rest_unmeasured: U32  # bit n: nothing measures joint n: its set-point counts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CountersSnapshot(RestSnapshot):
+    """Adds what is wrong with counters."""
+
+    counter_coarse: U32  # bit n: joint n's counter is made of a floating-point number, and has gone
+    # so far that one of its steps is more than a wheel at rest may turn in 0.2 s: its drive has to
+    # be restarted
+    counter_distrusted: U32  # bit n: the odometry leaves joint n's counter out until the reset: see
+    # FAULT_IMPLAUSIBLE_FEEDBACK

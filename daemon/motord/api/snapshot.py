@@ -7,21 +7,25 @@ snapshot is only read here, so the C core is not imported."""
 from __future__ import annotations
 
 import dataclasses
+import enum
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, get_args
 
+from motord.api.records import CountersSnapshot
 from motord.api.records import DeratingSnapshot as DeratingSnapshot
 from motord.api.records import DoubtSnapshot as DoubtSnapshot
 from motord.api.records import ImuSnapshot as ImuSnapshot
 from motord.api.records import JointSnapshot as JointSnapshot
 from motord.api.records import SpeedLoopSnapshot as SpeedLoopSnapshot
-from motord.api.records import SteeringSnapshot
 
-SNAPSHOT_VERSION = 1
+SNAPSHOT_VERSION = 2
 """Version of the snapshot; it grows when a field is renamed, removed or changes its meaning, not
 when one is added."""
+_STAMP_AHEAD_NS = 10_000_000
+"""STAMP_AHEAD_NS of csrc/base/fresh.h."""
+KEEP_AWAY = "keep away, cut the power"
 STATES = ("off", "configuring", "idle", "armed", "moving", "stopping", "fault", "estop")
 """The states, indexed by `machine_state`."""
 GYRO_STATES = ("none", "unbiased", "used", "stale", "reversed")
@@ -30,8 +34,20 @@ DERATED_BY = ("temperature", "current", "voltage")
 """Causes of a derating, indexed by DERATED_BY_* of csrc/api/api_derating.h."""
 
 
+class Rest(enum.StrEnum):
+    """Whether the robot rests, in the order of REST_* of csrc/api/api.h."""
+
+    UNKNOWN = "unknown"
+    """Nothing is known to turn, but a joint was not seen at rest."""
+    TURNING = "turning"
+    AT_REST = "at_rest"
+
+
+_RESTS = tuple(Rest)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Snapshot(SteeringSnapshot):
+class Snapshot(CountersSnapshot):
     """The robot after one tick. `stamp_ns` is CLOCK_MONOTONIC; publishers add wall-clock time."""
 
     joints: tuple[JointSnapshot, ...]
@@ -60,6 +76,69 @@ class Snapshot(SteeringSnapshot):
 def derated_by(number: int) -> str:
     """Return the word for `by` of the C core's derating_shown."""
     return DERATED_BY[number] if number < len(DERATED_BY) else f"reason {number}"
+
+
+def rest_word(number: int) -> Rest:
+    """Return the word for `rest` of the C core's rest_shown; UNKNOWN for a number that this version
+    does not know."""
+    return _RESTS[number] if number < len(_RESTS) else Rest.UNKNOWN
+
+
+def joints_of(bits: int, names: Sequence[str]) -> list[str]:
+    """Return the names of the joints whose bits are set."""
+    return [name for place, name in enumerate(names) if bits >> place & 1]
+
+
+def rest_report(snapshot: Snapshot, names: Sequence[str]) -> dict[str, Any]:
+    """Return the values about rest of the answer of `status`; `names` are those of the joints."""
+    since_ns = zip(names, snapshot.rest_unknown_since_ns, strict=False)
+    return {
+        "rest": snapshot.rest,
+        "rest_unknown_s": {
+            name: (snapshot.stamp_ns - begin_ns) / 1e9 for name, begin_ns in since_ns if begin_ns
+        },
+        "rest_unmeasured": joints_of(snapshot.rest_unmeasured, names),
+    }
+
+
+def rest_text(
+    rest: str, rest_unknown_s: Collection[str], rest_unmeasured: Collection[str] = ()
+) -> str:
+    """Return what a person has to know about the rest of the robot: a warning if it is unknown, and
+    that it was not measured. Empty: the robot is at rest, or turns. The arguments are the values of
+    `rest_report`, of which the names of the joints count."""
+    if rest == Rest.UNKNOWN:
+        return f"motord cannot see whether {_turns(rest_unknown_s or ('a wheel',))}: {KEEP_AWAY}"
+    if rest == Rest.AT_REST and rest_unmeasured:
+        return f"at rest by the set-points: nothing measures whether {_turns(rest_unmeasured)}"
+    return ""
+
+
+def stamp_is_fresh(now_ns: int, stamp_ns: int, timeout_s: float) -> bool:
+    """Return whether a stamp is neither older than the timeout nor from the future: the rule of
+    csrc/base/fresh.h, for programs that only read the state page."""
+    return stamp_ns > 0 and -_STAMP_AHEAD_NS <= now_ns - stamp_ns <= round(timeout_s * 1e9)
+
+
+def not_known(age_s: float | None) -> str:
+    """Return the text for a value whose newest measurement is that old; None or infinity: nothing
+    was measured yet."""
+    if age_s is None or not math.isfinite(age_s):
+        return "not known yet"
+    return f"not known since {age_s:.1f} s"
+
+
+def stop_answer(method: str, answer: Mapping[str, Any]) -> tuple[bool, str]:
+    """Return whether `method` has succeeded, and a text on it, from the daemon's answer. A stop and
+    a disarm have not while rest is unknown; an emergency stop has when it is latched."""
+    state = str(answer["state"])
+    unknown = rest_text(answer["rest"], answer["rest_unknown_s"]) if "rest" in answer else ""
+    return method == "estop" or not unknown, f"{state}; {unknown}" if unknown else state
+
+
+def _turns(names: Collection[str]) -> str:
+    *first, last = names
+    return f"{', '.join(first)} and {last} turn" if first else f"{last} turns"
 
 
 def gyro_word(state: int) -> str:

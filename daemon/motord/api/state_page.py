@@ -14,11 +14,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Self
 
-from motord.api.page_file import find_page
+from motord.api.page_file import find_page, slots_fit
 from motord.api.records import (
     PAGE_LAYOUT_VERSION,
+    CountersSnapshot,
     LateralSnapshot,
     PlainSnapshot,
+    RestSnapshot,
     SteeringSnapshot,
 )
 from motord.api.snapshot import (
@@ -31,13 +33,16 @@ from motord.api.snapshot import (
     SpeedLoopSnapshot,
     derated_by,
     gyro_word,
+    rest_word,
 )
 from motord.api.words import FAULTS, REASONS
 
 _MAGIC = b"MOTORD\0\1"
 _ENABLED_UNKNOWN = 2
 _PAGE_BYTES = 16384
-_HEADER = struct.Struct("=8s6I")
+_LAYOUT = struct.Struct("=8s5I")
+"""Beginning of the header: what does not change while daemons of one layout write the page."""
+_LAYOUT_BYTES = _LAYOUT.size
 _PUBLISHED = struct.Struct("=Q")
 _PUBLISHED_OFFSET = 32
 _TRIES = 8
@@ -73,11 +78,13 @@ _FORMS: Mapping[str, tuple[str, Callable[[Any], Any] | None]] = {
     "Doubles3": ("3d", None),
     "Doubles6": ("6d", None),
     "Doubles8": ("8d", None),
+    "Stamps8": ("8q", None),
     "Reasons": ("I", _reasons),
     "Faults": ("I", _faults),
     "FirstFault": ("I", _first_fault),
     "GyroState": ("I", gyro_word),
     "DeratedBy": ("I", derated_by),
+    "RestWord": ("I", rest_word),
 }
 """For each type of a dataclass field: its struct format in csrc/api/api.h, and the conversion of
 its value to Python."""
@@ -130,7 +137,11 @@ _JOINT_REASONS = (
 """Reasons that come from joints: each has a mask of the joints in reasons_shown, in this order."""
 _REASON = struct.Struct(f"=32qI{len(_JOINT_REASONS)}I")
 _REASON_OFFSET = _DERATING_OFFSET + _DERATING.bytes
-_PAYLOAD_BYTES = _REASON_OFFSET + _REASON.size
+_REST = _Record(RestSnapshot)
+_REST_OFFSET = _REASON_OFFSET + _REASON.size
+_COUNTERS = _Record(CountersSnapshot)
+_COUNTERS_OFFSET = _REST_OFFSET + _REST.bytes
+_PAYLOAD_BYTES = _COUNTERS_OFFSET + _COUNTERS.bytes
 
 
 def decode(payload: bytes) -> Snapshot:
@@ -170,6 +181,8 @@ def decode(payload: bytes) -> Snapshot:
         **state,
         **_LATERAL.values(payload, _LATERAL_OFFSET),
         **steering,
+        **_REST.values(payload, _REST_OFFSET),
+        **_COUNTERS.values(payload, _COUNTERS_OFFSET),
     )
 
 
@@ -181,32 +194,44 @@ class StatePage:
     """The newest snapshot of one robot. It stays attached when its daemon is killed and another one
     takes the page over. `open` it again when the file was removed (`gone`)."""
 
-    def __init__(self, path: Path, memory: mmap.mmap) -> None:
+    def __init__(self, path: Path, inode: int, memory: mmap.mmap) -> None:
+        """Raise NoPage if the memory does not hold a page of this layout."""
         self._path = path
+        self._inode = inode
         self._memory = memory
-        self._inode = path.stat().st_ino
-        _, _, _, self._slots, self._stride, self._offset, _ = _HEADER.unpack_from(memory)
+        self._layout = memory[:_LAYOUT_BYTES]
+        magic, version, payload_bytes, self._slots, self._stride, self._offset = (
+            _LAYOUT.unpack(self._layout)
+        )  # fmt: skip
+        known = magic == _MAGIC and version == PAGE_LAYOUT_VERSION
+        slot_bytes = _PUBLISHED.size + payload_bytes
+        if (
+            not known
+            or payload_bytes < _PAYLOAD_BYTES
+            or not slots_fit(_PAGE_BYTES, self._slots, self._stride, self._offset, slot_bytes)
+        ):
+            raise NoPage(f"{path} is not a page of layout {PAGE_LAYOUT_VERSION}, or is being made")
 
     @classmethod
     def open(cls, robot: str, owner: int | None = None) -> Self:
         """Attach to the page of that robot; `owner` as in find_page. Raises NoPage."""
         path = find_page(robot, owner=owner)
         try:
-            fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
             raise NoPage(f"{path}: {error.strerror}") from None
         try:
-            if os.fstat(fd).st_size < _PAGE_BYTES:
+            file = os.fstat(fd)
+            if file.st_size < _PAGE_BYTES:
                 raise NoPage(f"{path} is being made")
             memory = mmap.mmap(fd, _PAGE_BYTES, mmap.MAP_SHARED, mmap.PROT_READ)
         finally:
             os.close(fd)
-        magic, version, payload_bytes, *_ = _HEADER.unpack_from(memory)
-        known = _PAYLOAD_BYTES
-        if magic != _MAGIC or version != PAGE_LAYOUT_VERSION or payload_bytes < known:
+        try:
+            return cls(path, file.st_ino, memory)
+        except NoPage:
             memory.close()
-            raise NoPage(f"{path} is not a page of layout {PAGE_LAYOUT_VERSION}, or is being made")
-        return cls(path, memory)
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -219,12 +244,21 @@ class StatePage:
         self._memory.close()
 
     @property
+    def path(self) -> Path:
+        """Path of the file."""
+        return self._path
+
+    @property
     def gone(self) -> bool:
-        """Whether the file was removed, or there is another one of its name."""
+        """Whether the file was removed or replaced, or its layout is not that of `open` any
+        more."""
         try:
-            return self._path.stat().st_ino != self._inode
+            return self._path.stat().st_ino != self._inode or not self._is_as_opened()
         except FileNotFoundError:
             return True
+
+    def _is_as_opened(self) -> bool:
+        return self._memory[:_LAYOUT_BYTES] == self._layout
 
     @property
     def published(self) -> int:
@@ -233,11 +267,11 @@ class StatePage:
         return number
 
     def read(self) -> Snapshot | None:
-        """Return the newest snapshot; None: there is no snapshot yet, or the daemon
-        overwrote it during each try."""
+        """Return the newest snapshot; None: there is no snapshot yet, the daemon overwrote it
+        during each try, or a daemon of another layout has taken the page over (`gone`)."""
         for _ in range(_TRIES):
             number = self.published
-            if number == 0:
+            if number == 0 or not self._is_as_opened():
                 return None
             at = self._offset + (number - 1) % self._slots * self._stride
             size = _PAYLOAD_BYTES

@@ -46,20 +46,23 @@ class Odometry:
     heading_rad: float = NAN
     distance_m: float = NAN
     turned_rad: float = NAN
-    linear_m_s: float = NAN
-    angular_rad_s: float = NAN
-    lateral_m_s: float = NAN
+    linear_m_s: float | None = None
+    """None, as for the next three: the wheels with fresh feedback do not determine it."""
+    angular_rad_s: float | None = None
+    lateral_m_s: float | None = None
     """Positive to the left; 0 for a base that cannot move sideways."""
-    slip_m_s: float = NAN
+    slip_m_s: float | None = None
     """Speed of the rims against each other that no motion of the base explains, root mean
     square."""
     pose_covariance: tuple[float, ...] = ()
     """xx, xy, xh, yy, yh, hh in m2, m rad, rad2."""
-    twist_covariance: tuple[float, ...] = ()
+    twist_covariance: tuple[float | None, ...] = ()
     """vv, vw, ww in m2/s2, m rad/s2, rad2/s2."""
-    lateral_covariance: tuple[float, ...] = ()
+    lateral_covariance: tuple[float | None, ...] = ()
     """vx vy, vy vy, vy w in m2/s2, m2/s2, m rad/s2."""
     degraded: bool = False
+    coarse_counters: tuple[str, ...] = ()
+    """Joints whose drive counts in a floating-point number that has become coarse."""
     """Whether a wheel is stale, or has no counter."""
     epoch: int = 0
     """Number of resets of the pose; it changes with each one."""
@@ -85,6 +88,7 @@ class Battery:
     voltage_v: float | None = None
     current_a: float | None = None
     temperature_c: float | None = None
+    stamp_ns: int | None = None
     age_s: float | None = None
     cells: int | None = None
     capacity_ah: float | None = None
@@ -159,8 +163,24 @@ class LeaseStatus:
     lateral_m_s: float | None = None
     rate_hz: float | None = None
     held: bool = False
-    """The source requested motion while nothing could move; it has to send zero first."""
+    """See `HeldStatus`."""
+    sparse: str = ""
+    """That its commands come less often than its lease, in words; empty: they do not."""
     why: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldStatus:
+    """A source that moves nothing until it sends zero once, is started anew, or a person lets it go
+    on."""
+
+    owner: str = ""
+    held_for_s: float = NAN
+    silent_for_s: float | None = None
+    """Time since its newest command; None: its connection has ended."""
+    why: str = ""
+    release: str = ""
+    """How it moves the robot again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,10 +235,19 @@ class Status(dict[str, Any]):
     """What caused the latched fault or emergency stop."""
     armed: bool = False
     at_rest: bool = False
+    """Whether `rest` is "at_rest"."""
+    rest: str = "unknown"
+    """at_rest, turning or unknown."""
+    rest_unknown_s: Mapping[str, float] = field(default_factory=dict)
+    """Joints of which it is unknown whether they turn, and for how long it has been."""
+    rest_unmeasured: tuple[str, ...] = ()
+    """Joints that nothing measures: they count as at rest while their set-points are zero."""
     reasons: tuple[str, ...] = ()
     """Why the set-point differs from the request."""
     limited: Mapping[str, Limited] = field(default_factory=dict)
     """Each of `reasons` in detail."""
+    parameters: Mapping[str, float | None] = field(default_factory=dict)
+    """The limits in force, by the names of `params_list`; None: no limit."""
     faults: tuple[str, ...] = ()
     """The latched faults."""
     stops: int = 0
@@ -231,6 +260,8 @@ class Status(dict[str, Any]):
     loop: LoopStatus = field(default_factory=LoopStatus)
     lines: Mapping[str, LineStatus] = field(default_factory=dict)
     leases: tuple[LeaseStatus, ...] = ()
+    held: tuple[HeldStatus, ...] = ()
+    """Sources that move nothing although the robot is armed, or would not if it were."""
     inputs: tuple[Commander, ...] = ()
     commands: Commands = field(default_factory=Commands)
     publishers: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

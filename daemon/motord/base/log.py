@@ -27,6 +27,8 @@ _PRIORITIES = ((logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
 _DEBUG = 7
 _AS_ERROR = {"levelno": logging.ERROR, "levelname": "ERROR"}
 _LINES_MAX = 1000
+TEXT_CHARS_MAX = 300
+"""Characters of a client's text that one line of the log shows."""
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EAGAIN, errno.EIO)
 """Errors of a full disk, or of a full pipe that does not block: it may have room again."""
 _STACK_BYTES = 256 * 1024
@@ -162,3 +164,17 @@ def set_up(environ: Mapping[str, str] = os.environ, journal: Path = JOURNAL) -> 
         handler = _Writer(sys.stderr.fileno())
         handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)-7s %(message)s"))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+def process_name(pid: int) -> str:
+    """Return the number of a process, and its name if it still runs, for use in a sentence."""
+    try:
+        name = Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return f"process {pid}"
+    return f"process {pid}, {printable(name)}"
+
+
+def printable(text: str) -> str:
+    """Return a client's text, cut and without control characters, for one line of the log."""
+    return "".join(one if one.isprintable() else "?" for one in text[:TEXT_CHARS_MAX])

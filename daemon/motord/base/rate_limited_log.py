@@ -7,25 +7,52 @@ import logging
 import time
 
 AGAIN_S = 10.0
+LINES_AT_ONCE = 5
+"""Number of equal lines that `LimitedLines` writes within `AGAIN_S`."""
 
 
 class RateLimitedLog:
     """Log that writes the first of many equal messages, then one each `AGAIN_S` with their
     number."""
 
-    def __init__(self, log: logging.Logger) -> None:
-        self._log = log
+    def __init__(
+        self, log: logging.Logger, *, level: int = logging.WARNING, at_once: int = 1
+    ) -> None:
+        """`at_once`: number of messages that are written within `AGAIN_S`."""
+        self._log, self._level = log, level
+        self._at_once, self._written = at_once, 0
         self._due_s = 0.0
         self._silent = 0
 
     def say(self, text: str) -> None:
-        """Log a warning, unless one was logged within the last `AGAIN_S`."""
+        """Log a message, unless `at_once` messages were logged within the last `AGAIN_S`."""
         now_s = time.monotonic()
-        if now_s < self._due_s:
+        if now_s >= self._due_s:
+            self._due_s, self._written = now_s + AGAIN_S, 0
+        if self._written == self._at_once:
             self._silent += 1
             return
-        self._log.warning("%s%s", text, f" ({self._silent} more)" if self._silent else "")
-        self._due_s, self._silent = now_s + AGAIN_S, 0
+        more = f" ({self._silent} more)" if self._silent else ""
+        self._log.log(self._level, "%s%s", text, more)
+        self._written += 1
+        self._silent = 0
+
+
+class LimitedLines:
+    """Log of events that a client can cause at any rate, such as a stop of a robot at rest. Of each
+    of the few texts there are, it writes `LINES_AT_ONCE` within `AGAIN_S`, and counts the rest."""
+
+    def __init__(self, log: logging.Logger) -> None:
+        self._log = log
+        self._voices: dict[str, RateLimitedLog] = {}
+
+    def say(self, text: str) -> None:
+        """Log a line as information, unless it was logged too often."""
+        if text not in self._voices:
+            self._voices[text] = RateLimitedLog(
+                self._log, level=logging.INFO, at_once=LINES_AT_ONCE
+            )
+        self._voices[text].say(text)
 
 
 class RateLimitedFilter(logging.Filter):

@@ -7,10 +7,11 @@ Call `elsewhere` or `handed_over` before the first import of `motord.config`."""
 
 from __future__ import annotations
 
-import pickle
+import json
 import subprocess
-import sys
 from typing import Any
+
+from motord.base.python_command import module_command
 
 ANSWER_WITHIN_S = 60.0
 HERE = True
@@ -30,20 +31,22 @@ def elsewhere() -> None:
     global _reader  # noqa: PLW0603  a property of the process
     handed_over()
     pipe = subprocess.PIPE
-    command = [sys.executable, "-m", "motord.config"]
     # a process group of its own: Ctrl-C does not reach the child, which ends after its answer
-    _reader = subprocess.Popen(command, stdin=pipe, stdout=pipe, process_group=0)
+    _reader = subprocess.Popen(
+        module_command("motord.config"), stdin=pipe, stdout=pipe, process_group=0
+    )
 
 
-def ask(*question: Any) -> Any:
-    """Return the child's answer; this works once. Raises RuntimeError if the child has failed, and
-    written the reason to stderr."""
+def ask(*question: Any) -> bytes:
+    """Return the child's answer to a question: the arguments of `motord.config.load.answer`, as
+    JSON. This works once. Raises RuntimeError if the child has failed, and written the reason to
+    stderr."""
     global _reader
     if _reader is None:
         raise RuntimeError("there is no process that reads a robot file")
     reader, _reader = _reader, None
     try:
-        raw, _ = reader.communicate(pickle.dumps(question), timeout=ANSWER_WITHIN_S)
+        raw, _ = reader.communicate(json.dumps(question).encode(), timeout=ANSWER_WITHIN_S)
     except subprocess.TimeoutExpired:
         reader.kill()
         reader.wait()
@@ -52,4 +55,4 @@ def ask(*question: Any) -> Any:
         ) from None
     if reader.returncode:
         raise RuntimeError("the process that reads the robot file has failed")
-    return pickle.loads(raw)
+    return raw

@@ -9,6 +9,7 @@ import time
 from collections.abc import MutableMapping
 
 from motord.bus.adapters import Adapter
+from motord_hal.base.tasks import TaskGroup
 
 AGAIN_MIN_S, AGAIN_MAX_S = 0.5, 30.0
 WELL_AFTER_S = 60.0
@@ -24,7 +25,7 @@ async def keep(where: str, adapter: Adapter, failures: MutableMapping[str, int])
     again_s, failing = AGAIN_MIN_S, False
     while True:
         began_s = time.monotonic()
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             life = tasks.create_task(_life(adapter))
         error = asyncio.CancelledError("by itself") if life.cancelled() else life.result()
         if error is None:

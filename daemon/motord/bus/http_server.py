@@ -21,11 +21,16 @@ from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 from aiohttp.web_protocol import RequestHandler
 
+from motord_hal.base.bounded import regular
+
 STRANGERS_MAX = 32
 """With one more stranger the oldest is dropped: each costs a descriptor."""
 ANSWER_WITHIN_S = 5.0
 STANDS_MAX_S = 30.0
 LISTEN_AGAIN_S = 5.0
+UNSENT_BYTES_MAX = 64 * 1024
+"""Largest number of bytes that the kernel keeps for a client that does not read. Without a limit
+it keeps megabytes of old states, which the client reads before the newest one."""
 _ACKNOWLEDGED = struct.Struct("120x Q")
 """tcpi_bytes_acked of struct tcp_info: include/uapi/linux/tcp.h, since Linux 4.1."""
 
@@ -55,7 +60,7 @@ def tls_context(
     if cert_file is None or key_file is None:
         return None
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    context.load_cert_chain(place(cert_file), place(key_file))
+    context.load_cert_chain(regular(place(cert_file)), regular(place(key_file)))
     return context
 
 
@@ -117,6 +122,8 @@ class _Protocols(web.Server):
 
     def connection_made(self, handler: RequestHandler, transport: asyncio.Transport) -> None:
         super().connection_made(handler, transport)
+        accepted = transport.get_extra_info("socket")
+        accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES_MAX)
         self._strangers[handler] = transport
         asyncio.get_running_loop().call_later(ANSWER_WITHIN_S, self._drop, handler)
         if len(self._strangers) > STRANGERS_MAX:

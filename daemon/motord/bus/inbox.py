@@ -10,6 +10,7 @@ from concurrent.futures import Future
 from typing import Any, Generic, TypeVar
 
 from motord.bus.commands.gate import NotTaken
+from motord_hal.base.tasks import TaskGroup
 
 ASKED_MAX = 1024
 """Largest number of requests that wait to be started."""
@@ -53,13 +54,13 @@ class ThreadBridge:
         self._asked: Inbox[tuple[Callable[[], Awaitable[Any]], Future[Any]]] = Inbox(
             ASKED_MAX, self._begin
         )
-        self._tasks: asyncio.TaskGroup | None = None
+        self._tasks: TaskGroup | None = None
         self._over = False
 
     async def run(self) -> None:
         """Serve callers until cancelled. Callers that wait then, or call later, get NotTaken."""
         self._asked.open()
-        async with asyncio.TaskGroup() as self._tasks:
+        async with TaskGroup() as self._tasks:
             self._asked.empty()  # requests from before this call
             try:
                 await asyncio.Event().wait()

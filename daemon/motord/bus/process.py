@@ -10,7 +10,6 @@ import fcntl
 import json
 import logging
 import os
-import pickle
 import signal
 import sys
 from pathlib import Path
@@ -21,8 +20,10 @@ from motord.base import log
 from motord.bus.runtime import Runtime
 from motord.client import ClientError, find_socket
 from motord.config import ConfigError, Robot, load_robot
+from motord.config.robot_file import taken_over
+from motord_hal.base.tasks import TaskGroup
 
-BEAT_EVERY_S = 1.0
+BEAT_EVERY_S = 0.5
 _FAILED, _USAGE = 1, 2
 
 _log = logging.getLogger(__name__)
@@ -80,9 +81,7 @@ def main(
 def _checked(fd: int) -> Robot:
     """Return the robot that the daemon runs, even if its file was edited since."""
     with os.fdopen(fd, "rb") as file:
-        robot = pickle.load(file)
-    assert isinstance(robot, Robot)
-    return robot
+        return taken_over(file.read())
 
 
 def _own_output() -> int:
@@ -103,7 +102,7 @@ async def _run(robot: Robot, path: Path, beats: int | None) -> None:
         loop.add_signal_handler(number, end.set)
     if beats is not None:
         loop.add_reader(sys.stdin.fileno(), _until_closed, sys.stdin.fileno(), end)
-    async with asyncio.TaskGroup() as tasks:
+    async with TaskGroup() as tasks:
         work = [tasks.create_task(runtime.run())]
         if beats is not None:
             work.append(tasks.create_task(_beat(runtime, beats)))
@@ -119,10 +118,11 @@ def _until_closed(fd: int, end: asyncio.Event) -> None:
 
 
 async def _beat(runtime: Runtime, fd: int) -> None:
-    """Write a line of figures each second: without them the daemon takes this process for hung."""
+    """Write a line of figures twice a second: without them the daemon takes this process for hung.
+    The first one comes when the adapters have begun, which may take long on a small computer."""
     os.set_blocking(fd, False)  # a pipe of our own
     while True:
+        await asyncio.sleep(BEAT_EVERY_S)
         line = json.dumps(runtime.figures(), separators=(",", ":")).encode() + b"\n"
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(fd, line)
-        await asyncio.sleep(BEAT_EVERY_S)

@@ -12,12 +12,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from motord.aio import until_tick
 from motord.api.deadline import within
 from motord.api.halting import outcome
-from motord.api.snapshot import Snapshot
+from motord.api.snapshot import Snapshot, rest_report
 from motord.api.state_page import NoPage, StatePage
 from motord.api.stop_request import KINDS
 from motord.base.extras import how_to_install
+from motord.base.wall_clock import WallClock
 from motord.bus.adapters import (
     INPUT_POINTS,
     INPUTS,
@@ -35,6 +37,7 @@ from motord.bus.messages.forms import Form, as_message
 from motord.bus.messages.sources import Body
 from motord.bus.messages.topics import View
 from motord.client import ClientError, Refused
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.config import Robot
@@ -69,9 +72,11 @@ class Runtime:
     """What adapters can use: the robot, its newest state, feeds of it, and what is needed to
     command."""
 
-    def __init__(self, robot: Robot, path: Path) -> None:
+    def __init__(self, robot: Robot, path: Path, clock: WallClock | None = None) -> None:
         """`path`: the daemon's socket."""
         self.robot = robot
+        self.clock = clock or WallClock()
+        """Gives all wall times that the adapters publish."""
         self.path = path
         self.body = Body(robot=robot.robot.name, joints=tuple(robot.joint))
         self.view: View | None = None
@@ -95,7 +100,7 @@ class Runtime:
         body: Body | None = None,
     ) -> Feed:
         """Create the feed of the adapter with that name. `body`: `self.body` unless given."""
-        made = self.feeds[name] = Feed(body or self.body, rates_hz, form)
+        made = self.feeds[name] = Feed(body or self.body, rates_hz, form, self.clock)
         return made
 
     def source(self, name: str) -> Source:
@@ -117,9 +122,10 @@ class Runtime:
 
     async def _halt(self, method: str, params: dict[str, Any]) -> Any:
         """Request a stop by datagram, which also works when a connection is impossible. The
-        daemon's answer confirms it, or the state page if there is no answer."""
+        daemon's answer confirms it, or the state page if there is no answer. Raises DaemonHangs."""
         requested_ns = time.monotonic_ns()
         sent = await self._stops.send(method)
+        await until_tick(self.path, method)
         try:
             return await call(self.path, method, **params)
         except Refused:
@@ -128,7 +134,9 @@ class Runtime:
             state = await self._outcome(method, requested_ns) if sent else None
             if state is None:
                 raise
-            return {"state": state}
+            known = self.view.snapshot if self.view is not None else None
+            rest = {} if known is None else rest_report(known, self.body.joints)
+            return {"state": state, **rest}
 
     async def _outcome(self, method: str, requested_ns: int) -> str | None:
         """Return the state in which the request ended, by the state page; None if the page does not
@@ -182,7 +190,7 @@ class Runtime:
         """Run all adapters until cancelled."""
         adapters = self._adapters()
         with self._stops.open():
-            async with asyncio.TaskGroup() as tasks:
+            async with TaskGroup() as tasks:
                 for where, adapter in adapters.items():
                     tasks.create_task(keep(where, adapter, self._failures))
                 for gap in self._gaps:
@@ -276,6 +284,7 @@ class Runtime:
             status=before.status if before else None,
             status_ns=before.status_ns if before else 0,
         )
+        self.clock.look()
         for feed in self.feeds.values():
             feed.offer(self.view)
 

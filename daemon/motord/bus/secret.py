@@ -7,7 +7,10 @@ import hmac
 import stat
 from pathlib import Path
 
+from motord_hal.base import bounded
+
 TOKEN_MIN = 16
+SECRET_BYTES_MAX = 65536
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
@@ -17,7 +20,7 @@ def read_secret(path: Path, at_least: int = 1) -> str:
     mode = path.stat().st_mode
     if mode & _OTHERS:
         raise ValueError(f"{path} can be read by others: chmod 600 {path}")
-    secret = path.read_text(encoding="utf-8").strip()
+    secret = bounded.read(path, SECRET_BYTES_MAX).decode().strip()
     if len(secret) < at_least:
         raise ValueError(f"{path} holds {len(secret)} characters: at least {at_least}")
     return secret

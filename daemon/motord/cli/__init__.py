@@ -41,7 +41,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     ),
     "tune": ("motord.cli.commission.tune:tune", "Find the gains of a wheel's speed loop."),
     "stop": ("motord.cli.running.talk:stop", "Come to rest and stay armed."),
-    "estop": ("motord.cli.running.talk:estop", "Emergency stop; latched until reset."),
+    "estop": ("motord.cli.running.estop:estop", "Emergency stop; latched until reset."),
     "stop-all": ("motord.cli.stop_all:stop_all", "Stop every drive after the daemon crashed."),
     "reset": ("motord.cli.running.talk:reset", "Clear a fault or an emergency stop."),
     "reset-odometry": ("motord.cli.running.talk:reset_odometry", "Set the pose to zero."),

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import click
 
 from motord.base.extras import how_to_install
+from motord.base.python_command import module_command
 from motord.cli.common import Exit, Failure, json_option, load_or_exit, print_json, set_option
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ def _shown(robot_file: Path, overrides: Sequence[str]) -> Iterator[_Player]:
             raise Failure(str(error)) from error
         # the socket does not exist, so a command to a recording fails: there is no daemon
         nobody = page.path.with_suffix(".replay")
-        command = [sys.executable, "-m", "motord.bus", str(robot_file), *options]
+        command = module_command("motord.bus", str(robot_file), *options)
         bus = cleanup.enter_context(
             subprocess.Popen(
                 [*command, "--socket", str(nobody), "--supervised"],

@@ -54,7 +54,8 @@ def run(
     The robot starts disarmed; run motord arm to let it move. SIGINT and SIGTERM bring the robot to
     rest, power the drives off and end the daemon. A second signal does not wait for the ramp. The
     daemon notifies a service manager (sd_notify) when it is ready and feeds its watchdog. With
-    --json it prints one object once it listens: robot, pid, socket, state_page.
+    --json it prints one object once it listens: robot, pid, socket, state_page. The exit status is
+    3 if a power-off is not confirmed, or motord cannot see whether a wheel turns.
 
     \b
     Example: motord run robot.toml
@@ -75,7 +76,7 @@ def run(
 
     try:
         on_ready = say_ready if as_json else lambda _: None
-        asyncio.run(run_daemon(robot, path, on_ready, starts_bus=bus))
+        known_off = asyncio.run(run_daemon(robot, path, on_ready, starts_bus=bus))
     except (ConfigRefused, ProfileError, LookupError) as error:
         raise Failure(str(error), Exit.USAGE) from error
     except PortError as error:  # without a pin of safety nothing is started
@@ -85,3 +86,5 @@ def run(
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         raise Failure(f"{where}{error.strerror or error}") from error
+    if not known_off:  # the last line of the log has the reason
+        raise click.exceptions.Exit(Exit.FAULT)

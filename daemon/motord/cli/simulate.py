@@ -39,11 +39,12 @@ from motord.config.sections.bases import (
 )
 from motord.config.wiring import line_specs
 from motord_hal.modbus.codec import UNIT_MAX
+from motord_hal.modbus.timing import TCP_KINDS
 from motord_hal.sim.fault_kinds import KINDS, FaultError, list_kinds
 from motord_hal.sim.ground import Module
 from motord_hal.sim.pins.line import channels_of
 from motord_hal.sim.plant import WheelModel
-from motord_hal.sim.rig import TCP_KINDS, AnySimulatedLine, PortSpec, Rig, RigSpec, WheelSpec
+from motord_hal.sim.rig import AnySimulatedLine, PortSpec, Rig, RigSpec, WheelSpec
 from motord_hal.sim.runner import SPIN_S, run, set_pace
 
 SEED_MAX = 1 << 32

@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from motord.api.snapshot import Rest, not_known, rest_text
+
 
 def show_status(found: dict[str, Any]) -> None:
     """Print the answer of `status`, one row a subject."""
@@ -15,6 +17,7 @@ def show_status(found: dict[str, Any]) -> None:
         ("robot", f"{found['robot']} (process {found['pid']})"),
         ("state", found["state"]),
         *(("because", reason) for reason in found["why"]),
+        ("rest", _rest(found)),
         ("faults", ", ".join(found["faults"])),
         ("reasons", ", ".join(_reasons(found))),
         ("command", _command(found)),
@@ -27,12 +30,23 @@ def show_status(found: dict[str, Any]) -> None:
         *(("", text) for text in found["loop"]["refusals"].values()),
         *(row for name, line in found["lines"].items() for row in _line_rows(name, line)),
         *(("lease", _lease(lease)) for lease in found["leases"]),
+        *(("", lease["sparse"]) for lease in found["leases"]),
+        ("held", held_text(found["held"])),
         ("may command", commanders_text(found["inputs"])),
     ]
     width = max(len(key) for key, _ in rows)
     for key, text in rows:
         if text:
             click.echo(f"{key:{width}}  {text}")
+
+
+def _rest(found: dict[str, Any]) -> str:
+    """Return whether the robot rests, with a warning if that is unknown."""
+    text = rest_text(found["rest"], found["rest_unknown_s"], found["rest_unmeasured"])
+    if found["rest"] != Rest.UNKNOWN:
+        return text or found["rest"].replace("_", " ")
+    longest_s = max(found["rest_unknown_s"].values(), default=0.0)
+    return f"unknown for {longest_s:.1f} s: {text}"
 
 
 def _telling(reasons: Sequence[str], state: str) -> list[str]:
@@ -72,12 +86,18 @@ def _command(found: dict[str, Any]) -> str:
     )
 
 
+def speed_text(at: Mapping[str, Any]) -> str:
+    """Return the measured speed of the base; `at` is "odometry" of the answer of `status`."""
+    if at["linear_m_s"] is None:
+        return f"speed {not_known(at['age_s'])}"
+    speed = f"{at['linear_m_s']:.3f} m/s {at['angular_rad_s']:.3f} rad/s"
+    return speed + _sideways(at["lateral_m_s"])
+
+
 def _odometry(at: dict[str, Any]) -> str:
     text = (
         f"x {at['x_m']:.3f} m, y {at['y_m']:.3f} m, heading {at['heading_rad']:.3f} rad, "
-        f"{at['linear_m_s']:.3f} m/s {at['angular_rad_s']:.3f} rad/s"
-        f"{_sideways(at['lateral_m_s'])}, "
-        f"{at['distance_m']:.2f} m in all"
+        f"{speed_text(at)}, {at['distance_m']:.2f} m in all"
     )
     return text + (" (degraded)" if at["degraded"] else "")
 
@@ -88,7 +108,7 @@ def _joint(joint: dict[str, Any]) -> str:
         ("voltage_v", "V", 1), ("temperature_c", "°C", 0),
     )  # fmt: skip
     parts = [f"drive {joint['drive']}"]
-    if joint["takes_position"]:
+    if joint["takes_position"] and not joint["stale"]:
         at_rad = joint["position_rad"]
         parts.append("angle not known" if at_rad is None else f"at {at_rad:.3f} rad")
     parts += [
@@ -98,6 +118,8 @@ def _joint(joint: dict[str, Any]) -> str:
     ]
     if joint["feedback_age_s"] is None:
         parts.append("no feedback yet")
+    elif joint["stale"]:
+        parts.append(f"measured values {not_known(joint['feedback_age_s'])}")
     else:
         parts.append(f"feedback {joint['feedback_age_s'] * 1000:.0f} ms ago")
     return ", ".join([*parts, *joint["fault_words"]])
@@ -170,8 +192,22 @@ def commanders_text(inputs: Sequence[Mapping[str, Any]]) -> str:
     return ", ".join(texts) or "no source: every input of the robot file is switched off"
 
 
+def held_text(held: Sequence[Mapping[str, Any]]) -> str:
+    """Return who is held, why, and how it moves the robot again; empty: no source is held."""
+    if not held:
+        return ""
+    names = ", ".join(map(_silent, held))
+    return f"{names}: held, since {held[0]['why']}. {held[0]['release']}"
+
+
+def _silent(held: Mapping[str, Any]) -> str:
+    if held["silent_for_s"] is None:
+        return f"{held['owner']} (gone)"
+    return f"{held['owner']} (newest command {held['silent_for_s']:.1f} s ago)"
+
+
 def _lease(lease: dict[str, Any]) -> str:
-    held = ", held until it sends zero" if lease["held"] else ""
+    held = ", held" if lease["held"] else ""
     return (
         f"{lease['owner']} priority {lease['priority']}: {lease['linear_m_s']:.3f} m/s "
         f"{lease['angular_rad_s']:.3f} rad/s{_sideways(lease['lateral_m_s'])}{held}"

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from motord.api.halting import halt
+from motord.base.python_command import module_command
 from motord.client import ClientError
 
 DISARMED = b"disarmed"
@@ -23,7 +24,7 @@ DISARMED = b"disarmed"
 @contextlib.contextmanager
 def dead_man(socket: Path) -> Iterator[None]:
     """Disarm the robot if this process ends within this context, also by kill -9."""
-    command = [sys.executable, "-m", "motord.commission.dead_man", os.fspath(socket)]
+    command = module_command("motord.commission.dead_man", os.fspath(socket))
     # a session of its own: Ctrl-C and a lost terminal must not end this process with its parent
     process = subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, start_new_session=True

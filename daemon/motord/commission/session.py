@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from motord.api.halting import halt
+from motord.api.halting import found_rest, halt
 from motord.api.motion import Goal, Motion
 from motord.api.moving import Moved, MoveFailed
-from motord.api.snapshot import Snapshot
+from motord.api.snapshot import Rest, Snapshot
 from motord.api.state_page import NoPage, StatePage
 from motord.client import Client, ClientError, Refused
 from motord.commission.dead_man import dead_man
@@ -180,7 +180,7 @@ def require_idle(client: Client) -> str:
 @contextlib.contextmanager
 def armed(client: Client, person: Person, owner: str) -> Iterator[Session]:
     """Arm a robot that is at rest and disarmed; disarm it at the end. Raises Failed if it is not at
-    rest and disarmed, Refused if it cannot be armed."""
+    rest and disarmed, or is not seen at rest at the end, Refused if it cannot be armed."""
     name = require_idle(client)
     robot = client.call("robot")
     try:
@@ -200,3 +200,6 @@ def armed(client: Client, person: Person, owner: str) -> Iterator[Session]:
             if state == "fault" and session.faults:
                 with contextlib.suppress(ClientError):
                     client.reset()  # the fault came from the procedure, which explains it
+            found = found_rest(client.path)
+            if found.rest is not Rest.AT_REST:
+                raise Failed(f"the robot is disarmed, but {found.text}")

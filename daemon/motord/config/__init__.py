@@ -60,12 +60,12 @@ from motord.config.sections.line import (
 from motord.config.sections.model import (
     Joint,
     Loop,
-    Odometry,
     Robot,
     RtInput,
     Safety,
     SocketInput,
 )
+from motord.config.sections.odometry import Odometry
 
 __all__ = [
     "load_robot",

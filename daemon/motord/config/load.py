@@ -4,8 +4,9 @@ once."""
 
 from __future__ import annotations
 
+import json
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path as File
 from typing import Any
 
@@ -14,11 +15,13 @@ from pydantic import ValidationError
 from motord.config.finding import Finding
 from motord.config.problems import ConfigError, Problem
 from motord.config.reading import Places, all_problems, parse, read_text
+from motord.config.robot_file import ATTACHED_FILE, ATTACHED_REST
 from motord.config.rules.checks import findings
 from motord.config.schema import robot_schema
-from motord.config.sections.model import Robot
+from motord.config.sections.model import Robot, profiles_of
 from motord.config.toml_lines import Path
 from motord_hal.base import bounded
+from motord_hal.drives.profile import DriveProfile
 
 WHERE_FROM = "motord init writes a robot file, motord robots prints examples"
 
@@ -31,6 +34,25 @@ def answer(
         return _robot(File(path), overrides, text)
     except ConfigError as error:
         return error.problems
+
+
+def recorded(attached: Mapping[str, bytes]) -> tuple[Robot, dict[str, DriveProfile]]:
+    """Return the robot of a recording, and the profiles of its drives, from its attached files
+    (`motord.config.robot_file.attached`). The tables are validated. Nothing checks that drives and
+    rules fit: the core checks the numbers that follow. Raises KeyError without those files,
+    ValueError for a file that cannot be used."""
+    text = attached[ATTACHED_FILE].decode()
+    rest = json.loads(attached[ATTACHED_REST])
+    data = parse(File(ATTACHED_FILE), text)
+    for option in rest["set"]:
+        _override(data, option)
+    try:
+        robot = Robot.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{key}: {first['msg']}") from None
+    return robot, profiles_of(json.dumps(rest["drives"]))
 
 
 def _robot(file: File, overrides: Sequence[str], text: str | None) -> Robot:

@@ -3,12 +3,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from motord.base import validation
-from motord.config.problems import ConfigError
+from motord.config import transfer
+from motord.config.problems import ConfigError, Problem
 from motord.config.sections.model import Robot
+from motord.config.sections.section import Section
+
+ATTACHED_FILE, ATTACHED_REST = "robot.toml", "robot.json"
+"""Files that a recording with a journal has attached: the robot file, and what belongs to it."""
+_UNREADABLE = "the process that reads the robot file has answered what is no robot"
 
 
 def load_robot(
@@ -22,7 +30,34 @@ def load_robot(
 
         found = answer(path, overrides, text)
     else:
-        found = validation.ask(path, tuple(overrides), text)
+        found = _received(validation.ask(str(path), tuple(overrides), text))
     if not isinstance(found, Robot):
         raise ConfigError(found)
     return found
+
+
+def handed_over(robot: Robot) -> bytes:
+    """Return a robot as another process takes it over by `taken_over`."""
+    return transfer.dumps(robot).encode()
+
+
+def taken_over(text: bytes) -> Robot:
+    """Return the robot of a process that has read its file. Raises RuntimeError for other text."""
+    found = _received(text)
+    if not isinstance(found, Robot):
+        raise RuntimeError(_UNREADABLE)
+    return found
+
+
+def attached(robot: Robot) -> dict[str, bytes]:
+    """Return what a recording needs of the robot, so that a replay sets up the same core
+    (`motord.config.load.recorded`), as files by their names."""
+    rest = f'{{"set":{json.dumps(robot.overrides)},"drives":{robot.profiles_text}}}'
+    return {ATTACHED_FILE: robot.text.encode(), ATTACHED_REST: rest.encode()}
+
+
+def _received(text: bytes) -> Any:
+    try:
+        return transfer.loads(text, transfer.classes_of(Section, Problem))
+    except ValueError as error:
+        raise RuntimeError(_UNREADABLE) from error

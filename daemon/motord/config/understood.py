@@ -6,9 +6,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from motord.config.rules.limits import ceiling
 from motord.config.rules.wiring.can import bus_load
+from motord.config.rules.wiring.times import Reaction, Watchdog, drive_watchdogs, reactions
 from motord.config.rules.wiring.wire import budget
-from motord.config.sections.bases import JointsBase, wheel_row
+from motord.config.sections.bases import JointsBase
 from motord.config.sections.joint.limits import JointLimits
 from motord.config.sections.joint.wheels import rad_per_count, takes_position, velocity_range_rad_s
 from motord.config.sections.limits import LATERAL_KEYS
@@ -61,17 +63,6 @@ class Wire:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Watchdog:
-    """What a drive does when motord is killed (`kill -9`) or the computer dies."""
-
-    drive: str
-    joints: tuple[str, ...]
-    stops_within_s: float | None
-    """None: the drive does not stop."""
-    note: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Understood:
     """A robot file in numbers."""
 
@@ -87,6 +78,8 @@ class Understood:
     """Joints without a base; the lengths and speeds above are 0 then."""
     wires: tuple[Wire, ...]
     watchdogs: tuple[Watchdog, ...]
+    reactions: tuple[Reaction, ...]
+    """How long, and how far, the robot goes on when something fails."""
     defaults: dict[str, dict[str, float | str | bool | None]]
     """Table → key → value of what the file does not give; None: no limit."""
 
@@ -94,30 +87,9 @@ class Understood:
 def understood(robot: Robot) -> Understood:
     """Return the numbers of a robot file that has no problems."""
     profiles, free = robot.profiles, isinstance(robot.base, JointsBase)
-    ranges = {
-        name: velocity_range_rad_s(joint, profiles[joint.drive])
-        for name, joint in robot.joint.items()
-    }
-    radii = {name: robot.wheel_radius_m(name) for name in robot.joint}
-    rows = {name: wheel_row(robot.base, joint) for name, joint in robot.joint.items()}
-    driven = [name for name, row in rows.items() if row.x]
-    wheels_m_s = (
-        min(
-            (ranges[name][1 if rows[name].x > 0.0 else 0] * radii[name] / rows[name].x)
-            for name in driven
-        )
-        if driven
-        else 0.0
-    )
-    spot_rad_s = min(
-        [
-            min(ranges[name][1], -ranges[name][0]) * radii[name] / abs(row.lever_m)
-            for name, row in rows.items()
-            if row.lever_m
-        ]
-        or [0.0]
-    )
-    top_m_s = min(robot.limits.linear_m_s, wheels_m_s)
+    most = ceiling(robot, profiles)
+    top_m_s = 0.0 if free else min(robot.limits.linear_m_s, most.linear_m_s)
+    spot_rad_s = 0.0 if math.isinf(most.angular_rad_s) else most.angular_rad_s
     stop_s = robot.limits.linear_rest_s(top_m_s)
     # a symmetric S-curve: half of top speed on average
     stop_m = top_m_s * stop_s / 2.0
@@ -134,7 +106,8 @@ def understood(robot: Robot) -> Understood:
         ),
         joints=tuple(_free_joint(robot, name) for name in robot.joint) if free else (),
         wires=tuple(_wires(robot)),
-        watchdogs=tuple(_watchdogs(robot)),
+        watchdogs=tuple(drive_watchdogs(robot, profiles)),
+        reactions=tuple(reactions(robot, profiles)),
         defaults={
             name: found
             for name in (("safety", "loop") if free else ("limits", "safety", "loop"))
@@ -188,22 +161,6 @@ def _wires(robot: Robot) -> list[Wire]:
             share, cycle_hz = need.share, need.cycle_hz
             most_hz = need.most_hz if share else cycle_hz
         found.append(Wire(line=spec.name, cycle_hz=cycle_hz, share=share, most_hz=most_hz))
-    return found
-
-
-def _watchdogs(robot: Robot) -> list[Watchdog]:
-    found = []
-    for drive, profile in robot.profiles.items():
-        joints = tuple(name for name, joint in robot.joint.items() if joint.drive == drive)
-        within_s, note = None, profile.watchdog_note
-        if profile.watchdog is not None:
-            within_s, note = robot.safety.drive_watchdog_s, profile.watchdog.action
-        elif profile.watchdog_fixed_s:
-            within_s = profile.watchdog_fixed_s
-        elif all(robot.joint[name].drive_watchdog_s for name in joints):
-            within_s = max(robot.joint[name].drive_watchdog_s or 0.0 for name in joints)
-            note = "as the robot file has it"
-        found.append(Watchdog(drive=drive, joints=joints, stops_within_s=within_s, note=note))
     return found
 
 

@@ -167,20 +167,25 @@ def _position_velocity_rad_s(joint: Joint, profile: DriveProfile) -> float:
 def _joint_spec(
     profiles: Profiles, index: int, name: str, joint: Joint, line: AnyLine
 ) -> JointSpec:
+    profile = profiles[joint.drive]
+    own_counts = counts_per_turn(joint, profile)
     return JointSpec(
         index=index,
         name=name,
-        profile=profiles[joint.drive],
+        profile=profile,
         unit=joint.unit,
         channel=joint.channel,
         gear_ratio=joint.gear_ratio,
-        counts_per_turn=counts_per_turn(joint, profiles[joint.drive]) if joint.steers else 0,
+        counts_per_turn=own_counts if takes_position(joint, profile) else 0,
         zero_count=joint.zero_count,
-        position_velocity_rad_s=_position_velocity_rad_s(joint, profiles[joint.drive]),
+        position_min_rad=joint.position_min_rad or 0.0,
+        position_max_rad=joint.position_max_rad or 0.0,
+        position_velocity_rad_s=_position_velocity_rad_s(joint, profile),
         inverted=joint.inverted,
         cycle_hz=joint.cycle_hz,
+        identity=joint.identity,
         pins=joint.pins,
-        encoder=_encoder(joint, profiles[joint.drive], line),
+        encoder=_encoder(joint, profile, line),
         tries=joint.tries,
         reply_timeout_s=joint.reply_timeout_s,
     )

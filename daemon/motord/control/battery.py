@@ -122,14 +122,15 @@ class BatteryWatch:
         return f"the battery is unknown: nothing was measured for {silent_s:.1f} s"
 
     def report(self, now_ns: int) -> dict[str, Any]:
-        """Return the state, ready for JSON; unknown values are None. `age_s`: age of the
-        measurement."""
+        """Return the state, ready for JSON; unknown values are None. `stamp_ns`, `age_s`:
+        CLOCK_MONOTONIC and age of the measurement."""
         measure = self._measure
         return {
             "state": self.level.value,
             "voltage_v": _plain(measure.voltage_v) if measure else None,
             "current_a": _plain(measure.current_a) if measure else None,
             "temperature_c": _plain(measure.temperature_c) if measure else None,
+            "stamp_ns": measure.stamp_ns if measure else None,
             "age_s": (now_ns - measure.stamp_ns) / 1e9 if measure else None,
             "cells": self._section.cells,
             "capacity_ah": self._section.capacity_ah,

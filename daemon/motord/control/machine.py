@@ -10,6 +10,8 @@ import enum
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from motord.api.snapshot import Rest
+
 
 class State(enum.StrEnum):
     """States of the daemon in the order of their numbers on the state page: append, never
@@ -56,9 +58,11 @@ class Event(enum.StrEnum):
     LOST = "lost"
     """A line or a drive is not ready any more."""
     MOVED = "moved"
+    """A set-point or a wheel moves, or it is unknown whether one does."""
     RESTED = "rested"
+    """The robot was seen at rest."""
     STOPPED = "stopped"
-    """The robot is at rest after STOP."""
+    """The robot was seen at rest after STOP."""
     DISARMED = "disarmed"
     """The power is off."""
     FAULT = "fault"
@@ -84,7 +88,7 @@ class Facts:
     """`joint: fault words` for each joint whose drive reports a fault."""
     commanding: str | None = None
     """Owner of a lease that requests motion; None: no lease does."""
-    at_rest: bool = True
+    rest: str = Rest.AT_REST
     estop_input: str = ""
     """Why the emergency stop's contact stops the robot now; empty: it does not."""
     battery_forbids: bool = False
@@ -165,7 +169,7 @@ def _reset_refusal(facts: Facts) -> Refusal | None:
     reset, which clears it."""
     if facts.estop_input:
         return Refusal(facts.estop_input)
-    if not facts.at_rest:
+    if facts.rest == Rest.TURNING:  # unknown: feedback is missing, or the reset trusts it again
         return Refusal("the wheels still turn: wait until the robot is at rest")
     return _presence_refusal(facts) or _command_refusal(facts)
 

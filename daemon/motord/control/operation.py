@@ -14,23 +14,24 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 from motord.api.commands import LeaseGrant
-from motord.api.snapshot import Snapshot
-from motord.base.log import about
+from motord.api.snapshot import Rest, Snapshot, joints_of, rest_report, rest_text
+from motord.base.log import about, printable, process_name
+from motord.base.rate_limited_log import LINES_AT_ONCE, LimitedLines, RateLimitedLog
 from motord.base.sdnotify import Notifier
 from motord.config import Limits, Robot
 from motord.config.sections.joint.limits import JointLimits
 from motord.config.sections.joint.speed_loop import SpeedLoop
-from motord.config.sections.joint.wheels import takes_position
 from motord.control.battery import BatteryLevel, BatteryWatch
-from motord.control.doubt import doubt_text
+from motord.control.explained import COARSE_COUNTER, explained
 from motord.control.in_force import InForce
 from motord.control.joint_names import JointNames
 from motord.control.leases import Lease, Leases, NoLease
 from motord.control.machine import Event, Facts, Refusal, State, step
 from motord.control.waiting import Waiting
+from motord.local_socket.peer_process import Process
 from motord.local_socket.server import Refused
 from motord.realtime.loop import Control, Loop
 from motord.realtime.types import StopRequests
@@ -60,21 +61,6 @@ _BARE = "estop"
 
 REASONS_MAX = 8
 """Reasons that are kept for one emergency stop: the first ones, and the newest."""
-WHY_CHARS_MAX = 300
-
-
-def process_name(pid: int) -> str:
-    """Return the number of a process, and its name if it still runs, for use in a sentence."""
-    try:
-        name = Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip()
-    except OSError:
-        return f"process {pid}"
-    return f"process {pid}, {printable(name)}"
-
-
-def printable(text: str) -> str:
-    """Return a client's text, cut and without control characters, for one line of the log."""
-    return "".join(one if one.isprintable() else "?" for one in text[:WHY_CHARS_MAX])
 
 
 class Operation:
@@ -92,6 +78,8 @@ class Operation:
         self.in_force = InForce(robot)
         self.why: tuple[str, ...] = ()
         """Why the fault or the emergency stop is latched; empty if nothing is."""
+        self.left_on: list[str] = []
+        """Power-offs that a line could not confirm as it ended."""
         self.stops = 0
         """How often the robot was brought to rest by a stop, an emergency stop or a fault."""
         self.battery = BatteryWatch(robot.battery, now_ns()) if robot.battery else None
@@ -105,6 +93,8 @@ class Operation:
         self._release = False
         """Whether a disarm was requested: then drives that hold in a fault lose their power,
         too."""
+        self._steps = LimitedLines(_log)
+        self._estop_reasons = RateLimitedLog(_log, at_once=LINES_AT_ONCE)
         self._estop = False
         self.estops = 0
         """Number of emergency stops so far."""
@@ -136,7 +126,7 @@ class Operation:
                 if joint.drive_faults
             ),
             commanding=self.leases.wanting(),
-            at_rest=self.snapshot.at_rest,
+            rest=self.snapshot.rest,
             estop_input=self.estop_input(),
             battery_forbids=self.battery_forbids,
         )
@@ -171,10 +161,11 @@ class Operation:
         target = self.check(event)
         if target is self.state:
             return target
-        _log.info("%s (%s, was %s)", target, event, self.state)
+        self._steps.say(f"{target} ({event}, was {self.state})")
         if target in _LATCHED or event is Event.STOP:
             self.stops += 1
         self.state = target
+        self.leases.follow(may_move=target in _MAY_MOVE, armed=event is Event.ARM)
         self.put_control()
         self._notifier.status(target)
         self._notify()
@@ -255,6 +246,7 @@ class Operation:
         linear_m_s: float,
         angular_rad_s: float,
         lateral_m_s: float = 0.0,
+        process: Process | None = None,
     ) -> Lease:
         """Hand a command to the loop. Raises Refused if the command will move nothing, ValueError
         for a number out of bounds."""
@@ -264,6 +256,7 @@ class Operation:
                 connection=connection,
                 priority=priority,
                 lease_s=lease_s,
+                process=process,
                 linear_m_s=linear_m_s,
                 angular_rad_s=angular_rad_s,
                 lateral_m_s=lateral_m_s,
@@ -292,12 +285,14 @@ class Operation:
         priority: int,
         lease_s: float,
         rate_max_hz: float | None = None,
+        process: Process | None = None,
     ) -> LeaseGrant:
-        """Return a lease for commands that go to the loop's sockets. Raises Refused, ValueError."""
+        """Return a lease for the loop's sockets: see `Leases.grant`. Raises Refused, ValueError."""
         try:
             return self.leases.grant(
-                connection, owner, priority, lease_s, kept=True, rate_max_hz=rate_max_hz
-            )
+                connection, owner, priority, lease_s, kept=True,
+                rate_max_hz=rate_max_hz, process=process,
+            )  # fmt: skip
         except NoLease as error:
             raise Refused(str(error)) from error
 
@@ -323,7 +318,7 @@ class Operation:
         if not known:
             kept = [one for one in before if one not in (anonymous, _BARE)]
             self.why = (*kept[: REASONS_MAX - 1], reason)
-            _log.warning("emergency stop: %s", reason)
+            self._estop_reasons.say(f"emergency stop: {reason}")
         self.take(Event.ESTOP)
         self.put_control()
 
@@ -379,6 +374,11 @@ class Operation:
         except BlockingIOError:  # the loop wrote during every try: the next look comes soon
             return
         snapshot = self.snapshot
+        if snapshot.rest == Rest.UNKNOWN != before.rest:
+            _log.warning("%s", self.rest_unknown(), extra=about(event="rest_unknown"))
+        if coarse := snapshot.counter_coarse & ~before.counter_coarse:
+            names = ", ".join(joints_of(coarse, list(self.robot.joint)))
+            _log.warning(COARSE_COUNTER, names, extra=about(event="counter_coarse"))
         self._report_once(
             "lateral_impossible",
             "a command asks this base to move sideways (%g m/s), which it cannot: that part "
@@ -394,7 +394,8 @@ class Operation:
         if snapshot.faults:
             estop = "estop" in snapshot.faults
             self.estops += estop and "estop" not in before.faults
-            self._latch(Event.ESTOP if estop else Event.FAULT, self._explained(snapshot))
+            why = explained(snapshot, self.facts(), self.robot, self._broken)
+            self._latch(Event.ESTOP if estop else Event.FAULT, why)
             self._armed = False  # the core arms next at a new rising edge of this level
         elif self.disarm_requested.is_set() and not snapshot.armed:
             pass  # the loop has disarmed as requested; DISARMED follows when the power is off
@@ -402,7 +403,7 @@ class Operation:
             _log.warning("the core has disarmed by itself: %s", ", ".join(snapshot.reasons))
             self._armed = False
             self.take(Event.DISARMED)
-        elif not snapshot.at_rest:
+        elif snapshot.rest != Rest.AT_REST:
             self.take(Event.MOVED)
         elif self.state is State.STOPPING and not self.disarming:
             if "stop_requested" in snapshot.reasons:  # else the loop has not seen the stop yet
@@ -411,31 +412,20 @@ class Operation:
             self.take(Event.RESTED)
         self._notify()
 
+    def rest_report(self) -> dict[str, Any]:
+        """Return whether the robot rests, with the names of the joints: see api.snapshot."""
+        return rest_report(self.snapshot, tuple(self.robot.joint))
+
+    def rest_unknown(self) -> str:
+        """Return a warning while it is unknown whether the robot rests; empty: it is known."""
+        if self.snapshot.rest != Rest.UNKNOWN:
+            return ""
+        return rest_text(self.snapshot.rest, self.rest_report()["rest_unknown_s"])
+
     def _report_once(self, reason: str, text: str, speed: float) -> None:
         if reason in self.snapshot.reasons and reason not in self._reported:
             self._reported.add(reason)
             _log.warning(text, speed)
-
-    def _explained(self, snapshot: Snapshot) -> list[str]:
-        """Return the core's faults as texts, with names and details where they are known."""
-        facts = self.facts()
-        details = {
-            "estop": facts.estop_input,
-            "feedback_stale": ", ".join(facts.stale_joints),
-            "position_unknown": ", ".join(facts.lost_positions),
-            "drive": "; ".join(facts.drive_faults),
-            "external": self._broken or "",
-            "suspended": "the computer was suspended; look at the robot, then motord reset",
-        }
-        if snapshot.doubt is not None:
-            name, joint = list(self.robot.joint.items())[snapshot.doubt.joint]
-            positioned = takes_position(joint, self.robot.profiles[joint.drive])
-            text = doubt_text(snapshot.doubt, name, snapshot.stamp_ns, takes_position=positioned)
-            details[snapshot.doubt.fault] = text
-        return [
-            f"{fault}: {details[fault]}" if details.get(fault) else fault
-            for fault in snapshot.faults
-        ]
 
     def on_line_event(self, event: LineEvent) -> None:
         """Log an event, which a line reports once. A loss under power is a fault."""
@@ -443,6 +433,8 @@ class Operation:
         details = about(line=event.line, joints=event.joints, event=event.kind)
         _log.log(level, "%s", event.text, extra=details)
         self.waiting.note(event)
+        if event.kind is EventKind.DRIVE_LEFT_ON:
+            self.left_on.append(event.text)
         if event.kind in (EventKind.LINE_LOST, EventKind.DRIVE_UNRESPONSIVE):
             self.fault(event.text)
         elif event.kind is EventKind.DRIVE_FAULT and self.state is State.FAULT:

@@ -11,8 +11,10 @@ import signal
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+from motord.api.snapshot import Rest, rest_text
 from motord.base.recent_log import RecentLog
 from motord.base.sdnotify import Notifier
+from motord.base.wall_clock import WallClock
 from motord.bus.publish import KINDS, open_publisher
 from motord.bus.publish.snapshot_feed import SnapshotFeed
 from motord.config import Robot
@@ -20,6 +22,7 @@ from motord.control.assembly import core_config, line_specs, loop_settings
 from motord.control.health import Health, Heart
 from motord.control.machine import Event
 from motord.control.operation import Operation
+from motord.control.source_log import SourceLog
 from motord.daemon import procedures, running_file
 from motord.daemon.battery_task import watch_battery
 from motord.daemon.bus_supervisor import BusSupervisor
@@ -30,6 +33,8 @@ from motord.daemon.tracing import Tracing
 from motord.local_socket.command_sockets import open_command_sockets, open_stop_socket
 from motord.local_socket.server import listening, serve, socket_path
 from motord.realtime.loop import Loop
+from motord_hal.base.tasks import TaskGroup
+from motord_hal.fieldbus.halt import nothing_answers
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.ports import Line, LineState
 from motord_hal.realtime.exchange import Exchange, now_ns
@@ -56,8 +61,10 @@ async def run(
     on_ready: Callable[[Path], None] = lambda _: None,
     *,
     starts_bus: bool = True,
-) -> None:
-    """Run the daemon until a signal ends it: it starts disarmed, and ends at rest and disarmed.
+) -> bool:
+    """Run the daemon until a signal ends it: it starts disarmed, and brings the robot to rest and
+    disarms it at the end. Return whether every drive is known to be without power, and the robot
+    not in unknown motion.
     `on_ready` is called once, with the socket's path, when it listens. `starts_bus`: start
     motord-bus if the robot file needs it; False: another program does that.
 
@@ -68,7 +75,8 @@ async def run(
     specs = line_specs(robot, profiles)
     name, path = robot.robot.name, path or socket_path(robot.robot.name)
     ours = {key: section for key, section in robot.publish.items() if section.kind in KINDS}
-    feeds = {key: SnapshotFeed(name, section.rate_hz) for key, section in ours.items()}
+    clock = WallClock()
+    feeds = {key: SnapshotFeed(name, section.rate_hz, clock) for key, section in ours.items()}
     publishers = {key: open_publisher(key, section.kind, section) for key, section in ours.items()}
     bus = BusSupervisor(robot, path) if robot.has_bus and starts_bus else None
     with (
@@ -92,7 +100,7 @@ async def run(
         operation.take(Event.START)
         problems: list[str] = []
         try:
-            async with asyncio.TaskGroup() as tasks:
+            async with TaskGroup() as tasks:
                 for line in operation.lines:
                     tasks.create_task(line.run())
                 tasks.create_task(_watch(operation, feeds))
@@ -120,10 +128,32 @@ async def run(
                 raise _Over
         except* _Over:
             pass
-    if problems:
-        _log.warning("ended, but not all drives are known to be without power: %s", problems[0])
+    return _say_how_it_ended(operation, problems)
+
+
+def _power_unreported(operation: Operation) -> str:
+    """Return which joints' power-off was only sent, because their board sends nothing; empty: all
+    are known to be without power."""
+    specs = [line.spec for line in operation.lines if nothing_answers(line.spec)]
+    names = ", ".join(joint.name for spec in specs for joint in spec.joints)
+    return names and f"the power-off of {names} was sent: nothing reports whether they have power"
+
+
+def _say_how_it_ended(operation: Operation, problems: list[str]) -> bool:
+    """Write the last line of the log. Return whether the end is a good one: see `run`."""
+    unknown = operation.rest_unknown()
+    if problems := [*problems, *operation.left_on]:
+        text = f"ended, but not all drives are known to be without power: {problems[0]}"
+        _log.warning("%s", "; ".join(filter(None, (text, unknown))))
+    elif unknown:
+        _log.warning("ended: disarmed; %s", unknown)
+    elif operation.snapshot.rest == Rest.AT_REST:
+        unmeasured, unreported = rest_text(**operation.rest_report()), _power_unreported(operation)
+        doubts = "; ".join(filter(None, (unmeasured, unreported)))
+        _log.info("ended: %s", f"disarmed; {doubts}" if doubts else "at rest and disarmed")
     else:
-        _log.info("ended: at rest and disarmed")
+        _log.warning("ended: disarmed, without waiting for rest")
+    return not (problems or unknown)
 
 
 async def _shut_down(
@@ -148,22 +178,40 @@ def _recent_log() -> Iterator[RecentLog]:
         logging.getLogger().removeHandler(handler)
 
 
+ENDING_SIGNALS = (
+    *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
+    # Ctrl-\ and Ctrl-Z: a daemon that is frozen or gone leaves the wheels to the drives
+    *(signal.SIGQUIT, signal.SIGTSTP),
+)
+OTHER_SIGNALS = (
+    *(signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF),
+    *(signal.SIGIO, signal.SIGPWR, signal.SIGSTKFLT, signal.SIGXCPU),
+    *range(signal.SIGRTMIN, signal.SIGRTMAX + 1),
+)
+"""Signals that nothing here sends, and that would kill the process by default (signal(7)). SIGABRT
+and those of a fault of the program are not among them: they must end a process that hangs."""
+TERMINAL_SIGNALS = (signal.SIGTTIN, signal.SIGTTOU)
+"""Would freeze a daemon in the background that logs to its terminal; ignored, the output goes
+there."""
+
+
 @contextlib.contextmanager
 def _signals() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
     """Yield two events: the first signal to end sets the first one, the next signal the second."""
     loop = asyncio.get_running_loop()
     end, force = asyncio.Event(), asyncio.Event()
-    numbers = (
-        *(signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
-        # Ctrl-\ and Ctrl-Z: a daemon that is frozen or gone leaves the wheels to the drives
-        *(signal.SIGQUIT, signal.SIGTSTP),
-    )
+    unused = [one for one in OTHER_SIGNALS if signal.getsignal(one) is signal.SIG_DFL]
+    numbers = (*ENDING_SIGNALS, *unused)
 
-    def asked() -> None:
+    def asked(number: int) -> None:
+        if number in unused:
+            _log.warning("signal %s: the daemon ends", signal.strsignal(number))
         (force if end.is_set() else end).set()
 
     for number in numbers:
-        loop.add_signal_handler(number, asked)
+        loop.add_signal_handler(number, asked, number)
+    for number in TERMINAL_SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
     try:
         yield end, force
     finally:
@@ -215,10 +263,10 @@ async def _beat(operation: Operation) -> None:
 
 
 async def _watch_health(operation: Operation, health: Health, notifier: Notifier) -> None:
-    """Feed the supervisor's watchdog as long as loop, lines and (by this very task) asyncio
-    move."""
+    """Feed the supervisor's watchdog as long as loop, lines and (by this very task) asyncio move.
+    Log what the sources of commands do wrong."""
     period_s = min(HEALTH_PERIOD_S, (notifier.watchdog_s or 2.0) / 4.0)
-    pin_errno = 0
+    pin_errno, sources = 0, SourceLog(operation.leases)
     while True:
         before, pin_errno = pin_errno, operation.loop.status().watchdog_errno
         if pin_errno not in (0, before):
@@ -230,6 +278,7 @@ async def _watch_health(operation: Operation, health: Health, notifier: Notifier
             notifier.watchdog()
         else:
             operation.fault(f"stands still: {', '.join(verdict.stalled)}")
+        sources.look()
         await asyncio.sleep(period_s)
 
 

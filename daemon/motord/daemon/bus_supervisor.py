@@ -10,7 +10,6 @@ import contextlib
 import json
 import logging
 import os
-import pickle
 import signal
 import sys
 import time
@@ -19,17 +18,23 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
+from motord.base.python_command import module_command
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.config import Robot
+from motord.config.robot_file import handed_over
 from motord_hal.base.clock import within
 
-SILENT_S = 10.0
-"""Longest silence after the first heartbeat; the process sends one every second."""
+SILENT_S = 2.0
+"""Longest silence after the first heartbeat; the process sends two a second. Meanwhile no state
+reaches a page, and no stop of a page arrives."""
 START_WITHIN_S = 60.0
 """Time for the first heartbeat: a small computer that is busy starting takes long, and a process
 that is ended before it is ready would start again for ever."""
 READ_BYTES, READ_EVERY_S = 4096, 0.02
 """How much of its output is read at a time, and how often, so that a flooded pipe costs no more."""
+LOOK_EVERY_S = 0.1
+"""Longest wait for its output. Silence is counted in such waits: when the daemon stands still, or
+the computer does, one of them takes long, and the process is not to blame."""
 BEAT_BYTES_MAX = 65536
 BEATS_A_READ_MAX = 8
 END_WITHIN_S = 2.0
@@ -47,10 +52,10 @@ class BusSupervisor:
         """`path`: the local socket."""
         options = [part for option in robot.overrides for part in ("--set", option)]
         self._command = [
-            *(sys.executable, "-m", "motord.bus", str(robot.path), *options),
+            *module_command("motord.bus", str(robot.path), *options),
             *("--socket", str(path), "--supervised"),
         ]
-        self._checked = pickle.dumps(robot)
+        self._checked = handed_over(robot)
         self._figures: dict[str, Any] = {}
         self._pid: int | None = None
         self._restarts = 0
@@ -89,6 +94,8 @@ class BusSupervisor:
             try:
                 await self._listen(output)
             except TimeoutError:
+                with contextlib.suppress(ProcessLookupError):  # it has just ended
+                    process.kill()  # who is silent ends no sooner for a request
                 return f"was silent for {SILENT_S if self._figures else START_WITHIN_S:g} s"
             finally:
                 self._pid, self._figures = None, {}
@@ -116,14 +123,23 @@ class BusSupervisor:
 
     async def _listen(self, output: asyncio.StreamReader) -> None:
         """Read the output to its end. Raises TimeoutError when no valid figures come in time."""
-        loop, rest = asyncio.get_running_loop(), b""
-        async with within(START_WITHIN_S) as silence:
-            while chunk := await output.read(READ_BYTES):
-                *lines, rest = (rest + chunk).split(b"\n")
-                rest = rest[-BEAT_BYTES_MAX:]
-                if lines and self._receive(lines[-BEATS_A_READ_MAX:]):
-                    silence.reschedule(loop.time() + SILENT_S)
-                await asyncio.sleep(READ_EVERY_S)
+        rest, silent_s, silent_max_s = b"", 0.0, START_WITHIN_S
+        while silent_s < silent_max_s:
+            try:
+                async with within(LOOK_EVERY_S):
+                    chunk = await output.read(READ_BYTES)
+            except TimeoutError:
+                silent_s += LOOK_EVERY_S
+                continue
+            if not chunk:
+                return
+            *lines, rest = (rest + chunk).split(b"\n")
+            rest = rest[-BEAT_BYTES_MAX:]
+            silent_s += READ_EVERY_S
+            if lines and self._receive(lines[-BEATS_A_READ_MAX:]):
+                silent_s, silent_max_s = 0.0, SILENT_S
+            await asyncio.sleep(READ_EVERY_S)
+        raise TimeoutError
 
     def _receive(self, lines: list[bytes]) -> bool:
         """Keep the newest figures among the lines; return whether there are any."""

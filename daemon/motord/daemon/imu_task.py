@@ -13,6 +13,7 @@ from motord.config import ChipImu
 from motord.control.operation import Operation
 from motord_hal.base.errors import HalError
 from motord_hal.base.retry import Backoff
+from motord_hal.base.tasks import TaskGroup
 from motord_hal.fieldbus.ports import Mounting
 from motord_hal.i2c.bus import I2cDevice
 from motord_hal.i2c.imu import CHIPS
@@ -44,7 +45,7 @@ async def watch_imu(operation: Operation) -> None:
     read by its line."""
     if operation.robot.imu is None:
         return
-    async with asyncio.TaskGroup() as tasks:
+    async with TaskGroup() as tasks:
         tasks.create_task(_say(operation))
         if isinstance(operation.robot.imu, ChipImu):
             tasks.create_task(_read(operation.robot.imu))

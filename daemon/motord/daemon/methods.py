@@ -3,19 +3,21 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from motord.api.commands import POSITIONS_VERSION
+from motord.base.log import TEXT_CHARS_MAX
 from motord.base.recent_log import RecentLog
 from motord.bus.publish.snapshot_feed import SnapshotFeed
 from motord.config import SocketInput
 from motord.control.health import Health
 from motord.control.leases import LEASE_MAX_S, LEASE_MIN_S, Lease
 from motord.control.machine import State
-from motord.control.operation import WHY_CHARS_MAX, Operation
+from motord.control.operation import Operation
 from motord.daemon import procedures, report
 from motord.daemon.bus_supervisor import BusSupervisor
 from motord.daemon.parameters import drive as drive_parameters
@@ -24,8 +26,10 @@ from motord.daemon.parameters import joint as joint_parameters
 from motord.daemon.parameters import robot as parameters
 from motord.daemon.tracing import Tracing
 from motord.local_socket.command_sockets import CommandSockets
-from motord.local_socket.params import Params, names, number, text, values
+from motord.local_socket.params import Params, flag, names, number, text, values
 from motord.local_socket.server import INVALID_PARAMS, Caller, Method, Refused, RpcError
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,11 +56,17 @@ class DriveParams(LeaseParams):
 class JointsParams(LeaseParams):
     velocity_rad_s: Mapping[str, float] | None = values()
     position_rad: Mapping[str, float] | None = values()
+    clamp: bool = flag()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArmParams(Params):
+    release_held: bool = flag()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstopParams(Params):
-    why: str = text(WHY_CHARS_MAX, default="")
+    why: str = text(TEXT_CHARS_MAX, default="")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +102,7 @@ def methods(
         "latency": _looking(lambda: report.latency(operation.loop)),
         "params.list": _looking(
             lambda: (
-                parameters.listed(operation.in_force.limits, operation.robot.base)
+                parameters.listed(operation.robot, operation.in_force.limits)
                 | joint_parameters.listed(operation.robot, operation.in_force.joint_limits)
                 | gain_parameters.listed(operation.robot, operation.in_force.speed_loops)
                 | drive_parameters.listed(operation.lines)
@@ -111,9 +121,9 @@ def methods(
             lambda caller, params: _lease(operation, command_sockets, caller, params), LeaseParams
         ),
         "release": Method(lambda who, params: _release(operation, who, params), OwnerParams),
-        "arm": _acting(lambda _: procedures.arm(operation)),
-        "disarm": _acting(lambda _: procedures.disarm(operation)),
-        "stop": _acting(lambda _: procedures.stop(operation)),
+        "arm": Method(lambda _, params: _arm(operation, params), ArmParams),
+        "disarm": _stopping(operation, procedures.disarm),
+        "stop": _stopping(operation, procedures.stop, names_held=True),
         "estop": Method(
             lambda caller, params: _estop(operation, caller, params), EstopParams, urgent=True
         ),
@@ -127,14 +137,51 @@ def _looking(look: Callable[[], Any]) -> Method:
 
 
 def _acting(act: Callable[[Caller], Awaitable[State]]) -> Method:
-    async def call(caller: Caller, _: Params) -> dict[str, str]:
+    async def call(caller: Caller, _: Params) -> dict[str, Any]:
         return {"state": (await act(caller)).value}
 
     return Method(call)
 
 
-async def _estop(operation: Operation, caller: Caller, params: EstopParams) -> dict[str, str]:
-    return {"state": (await procedures.estop(operation, caller.pid, params.why)).value}
+def _stopping(
+    operation: Operation,
+    act: Callable[[Operation], Awaitable[State]],
+    *,
+    names_held: bool = False,
+) -> Method:
+    """Return the method whose answer has also whether the robot rests, and, if `names_held`, which
+    sources are held."""
+
+    async def call(_: Caller, __: Params) -> dict[str, Any]:
+        answer = {"state": (await act(operation)).value, **operation.rest_report()}
+        return answer | ({"held": report.held(operation)} if names_held else {})
+
+    return Method(call)
+
+
+def _release_held(operation: Operation) -> tuple[str, ...]:
+    owners = operation.leases.release_held()
+    if owners:
+        _log.warning("a person lets go on: %s", ", ".join(owners))
+    return owners
+
+
+async def _arm(operation: Operation, params: ArmParams) -> dict[str, Any]:
+    """Arm. Where the robot is armed already, a person may let the held sources go on: arming itself
+    ends no hold, since who arms has not seen yet who is held."""
+    before = operation.state
+    state = await procedures.arm(operation)
+    released = _release_held(operation) if params.release_held and state is before else ()
+    return {
+        "state": state.value,
+        "held": [] if released else report.held(operation),
+        "released": list(released),
+    }
+
+
+async def _estop(operation: Operation, caller: Caller, params: EstopParams) -> dict[str, Any]:
+    state = await procedures.estop(operation, caller.pid, params.why)
+    return {"state": state.value, **operation.rest_report()}
 
 
 def _input(operation: Operation) -> SocketInput:
@@ -153,7 +200,9 @@ async def _drive(operation: Operation, caller: Caller, params: DriveParams) -> d
     if operation.joint_names.without_base:
         raise Refused("this robot has no base that drives: command its joints (motord joints)")
     twist = params.linear_m_s, params.angular_rad_s, params.lateral_m_s
-    lease = await operation.drive(caller.connection, *_source(operation, params), *twist)
+    lease = await operation.drive(
+        caller.connection, *_source(operation, params), *twist, process=caller.process
+    )
     return _in_command(operation, lease)
 
 
@@ -169,9 +218,12 @@ async def _drive_joints(
         connection=caller.connection,
         priority=priority,
         lease_s=lease_s,
+        process=caller.process,
         joint_count=len(operation.robot.joint),
         velocity_rad_s=velocities,
         position_rad=positions,
+        clamp=params.clamp,
+        beyond="" if params.clamp else operation.joint_names.beyond(params.position_rad or {}),
     )
     lease = await operation.obeyed(submitting)
     return _in_command(operation, lease)
@@ -215,7 +267,11 @@ def _lease(
             f"lease_s {lease_s:g} is above the robot file's {section.lease_s:g}", INVALID_PARAMS
         )
     rate_max_hz = section.rate_max_hz
-    grant = operation.lease(caller.connection, params.owner, priority, lease_s, rate_max_hz)
+    # motord-bus passes on what others send, and they go on when it is started anew
+    process = None if params.owner in command_sockets.inputs else caller.process
+    grant = operation.lease(
+        caller.connection, params.owner, priority, lease_s, rate_max_hz, process
+    )
     number = operation.leases.socket_number(caller.connection, params.owner)
     return {
         "token": grant.token.hex(),
@@ -269,7 +325,12 @@ def _by_kind(names: Sequence[str]) -> tuple[list[str], ...]:
 
 
 async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, float | None]:
-    """Set limits and gains, all or none; or registers of drives, one after the other."""
+    """Set limits and gains, all or none; or registers of drives, one after the other. `force` among
+    the values: also limits beyond those of the robot file."""
+    wanted = dict(wanted)
+    force = wanted.pop("force", False)
+    if not isinstance(force, bool):
+        raise RpcError("force is true or false", INVALID_PARAMS)
     for name, value in wanted.items():
         if isinstance(value, int) and abs(value) > sys.float_info.max:  # JSON sets no bound
             raise RpcError(f"{name}: is too large a number", INVALID_PARAMS)
@@ -282,14 +343,17 @@ async def _set(operation: Operation, wanted: Mapping[str, Any]) -> dict[str, flo
         return dict(await drive_parameters.write(operation, of_drives))
     now, robot = operation.snapshot, operation.robot
     moving = now.setpoint_linear_m_s, now.setpoint_angular_rad_s, now.setpoint_lateral_m_s
-    new_limits = parameters.changed(operation.in_force.limits, robot.base, limits, *moving)
+    new_limits = parameters.changed(robot, operation.in_force.limits, limits, moving, force=force)
     new_joints = joint_parameters.changed(
         robot,
         operation.in_force.joint_limits,
         of_joints,
         [one.setpoint_rad_s for one in now.joints],
+        force=force,
     )
     new_loops = gain_parameters.changed(robot, operation.in_force.speed_loops, gains)
+    if force:
+        _log.warning("set by force, beyond the robot file where needed: %s", wanted)
     if limits:
         operation.set_limits(new_limits)
     if new_joints:

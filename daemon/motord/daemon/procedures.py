@@ -16,7 +16,8 @@ from motord.control.operation import Operation
 from motord.local_socket.server import Refused
 from motord_hal.base.clock import now_ns, within
 from motord_hal.base.errors import HalError
-from motord_hal.fieldbus.ports import Line
+from motord_hal.base.tasks import TaskGroup
+from motord_hal.fieldbus.ports import DriveState, Line, LineState
 
 LINES_WITHIN_S = 4.0
 """Deadline for all drives of a line to arm, to disarm, or to clear their faults."""
@@ -67,7 +68,8 @@ async def disarm(operation: Operation) -> State:
         if not problems:
             operation.acknowledge_disarm(operation.stop_requests)
     if problems:
-        raise Refused(f"the robot is {operation.state}, but {'; '.join(problems)}")
+        why = "; ".join(filter(None, (*problems, operation.rest_unknown())))
+        raise Refused(f"the robot is {operation.state}, but {why}")
     return operation.state
 
 
@@ -92,7 +94,8 @@ async def stop(operation: Operation) -> State:
     deadline_s = ramp_s(operation, RAMP_MAX_S)
     await _take_in_datagram(operation)
     if not await operation.until(lambda: operation.state is not State.STOPPING, deadline_s):
-        raise Refused(f"not yet at rest after {deadline_s:.1f} s: motord disarm, or motord estop")
+        why = operation.rest_unknown() or "motord disarm, or motord estop"
+        raise Refused(f"not seen at rest after {deadline_s:.1f} s: {why}")
     return operation.state
 
 
@@ -159,8 +162,8 @@ async def reset_odometry(operation: Operation) -> State:
 
 async def shut_down(operation: Operation, force: asyncio.Event) -> list[str]:
     """Bring the robot to rest, take the power off, and show OFF on the state page. Returns texts on
-    what is not known to be done. `force` leaves the ramp out: then the lines brake as they end.
-    Before the call, cancel a procedure that is in progress."""
+    power-offs that are not confirmed. `force` leaves the ramp out: then the lines brake as they
+    end. Before the call, cancel a procedure that is in progress."""
     async with operation.busy:
         problems = await _come_down(operation, SHUTDOWN_RAMP_MAX_S, force)
     for problem in problems:
@@ -191,9 +194,10 @@ async def _come_down(operation: Operation, ramp_max_s: float, force: asyncio.Eve
             deadline_s,
         )
         if force.is_set():
-            return ["requested without waiting for rest"]
+            return _out_of_reach(operation)
         if not rests:
-            _log.warning("not at rest after %.1f s: the power goes off anyway", deadline_s)
+            why = operation.rest_unknown() or "the wheels turn"
+            _log.warning("not at rest after %.1f s: the power goes off anyway: %s", deadline_s, why)
         operation.set_armed(False)
         await operation.until(lambda: not operation.snapshot.armed, CORE_WITHIN_S)
         problems = await _power_off(operation)
@@ -225,10 +229,23 @@ def ramp_s(operation: Operation, most_s: float) -> float:
     return min(brakes_s + 2.0 * eases_s + RAMP_MARGIN_S, most_s)
 
 
+def _out_of_reach(operation: Operation) -> list[str]:
+    """Return a text for each line and drive that gets no power-off as the lines end. The lines
+    report those that do not confirm it."""
+    closed = [line.spec for line in operation.lines if line.state is LineState.CLOSED]
+    return [f"{spec.name} is not open on {spec.port}" for spec in closed] + [
+        f"{joint} does not answer"
+        for line in operation.lines
+        if line.spec not in closed
+        for joint, drive in line.drive_states.items()
+        if drive is DriveState.UNRESPONSIVE
+    ]
+
+
 async def _power_off(operation: Operation) -> list[str]:
     """Disarm all lines at once. Returns texts on what went wrong."""
     problems: list[str] = []
-    async with asyncio.TaskGroup() as tasks:
+    async with TaskGroup() as tasks:
         for line in operation.lines:
             tasks.create_task(_disarm_line(line, problems))
     return problems
@@ -241,7 +258,7 @@ async def _disarm_line(line: Line, problems: list[str]) -> None:
     except (HalError, TimeoutError) as error:
         watched = all(joint.profile.watchdog is not None for joint in line.spec.joints)
         then = (
-            "its drives stop by their own watchdogs once nothing reaches them"
+            "its drives should stop by their own watchdogs once nothing reaches them"
             if watched
             else "a drive of it has no watchdog and may still turn: cut its power"
         )

@@ -8,15 +8,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from motord.api.commands import CommandReport
-from motord.api.snapshot import Snapshot
+from motord.api.snapshot import Snapshot, joints_of
 from motord.bus.publish.snapshot_feed import SnapshotFeed
 from motord.config.sections.bases import JointsBase, side_of, wheel_modules, wheel_row
 from motord.config.sections.joint.wheels import takes_position
 from motord.config.sections.model import Robot
 from motord.control.health import Health
-from motord.control.leases import Lease
+from motord.control.leases import HELD_SINCE, RELEASES, Lease
 from motord.control.operation import Operation
 from motord.daemon.bus_supervisor import BusSupervisor
+from motord.daemon.parameters import joint as joint_parameters
+from motord.daemon.parameters import robot as parameters
 from motord.realtime.loop import HistogramKind, Loop, Percentiles
 from motord_hal.fieldbus.ports import Line
 from motord_hal.realtime.exchange import now_ns
@@ -46,14 +48,18 @@ def status(
         "why": list(operation.why),
         "armed": snapshot["armed"],
         "at_rest": snapshot["at_rest"],
+        **operation.rest_report(),
         "reasons": snapshot["reasons"],
         "limited": _limited(operation),
+        "parameters": parameters.values(operation.in_force.limits, operation.robot.base)
+        | joint_parameters.values(operation.robot, operation.in_force.joint_limits),
         "faults": snapshot["faults"],
         "stops": operation.stops,
         "command": {key: snapshot[key] for key in _COMMAND},
         "odometry": {key: snapshot[key] for key in _ODOMETRY}
         | {
             "degraded": snapshot["odometry_degraded"],
+            "coarse_counters": joints_of(snapshot["counter_coarse"], list(operation.robot.joint)),
             "epoch": snapshot["odometry_epoch"],
             "age_s": _age_s(operation.snapshot.odometry_stamp_ns),
         },
@@ -63,6 +69,7 @@ def status(
         "loop": _loop(operation),
         "lines": {line.spec.name: _line(line, operation) for line in operation.lines},
         "leases": _leases(operation),
+        "held": held(operation),
         "inputs": operation.robot.commanders(),
         "commands": _commands(operation.loop.commands()),
         "publishers": {name: feed.report() for name, feed in feeds.items()},
@@ -258,9 +265,26 @@ def _leases(operation: Operation) -> list[dict[str, Any]]:
             "joints": _named(operation, lease),
             "rate_hz": lease.rate_hz,
             "held": lease.held,
+            "sparse": lease.sparse,
             "why": _why(lease, living),
         }
         for lease in living
+    ]
+
+
+def held(operation: Operation) -> list[dict[str, Any]]:
+    """Return the held sources, each with how it moves the robot again. `silent_for_s` None: its
+    connection has ended."""
+    now = now_ns()
+    return [
+        {
+            "owner": one.owner,
+            "held_for_s": (now - one.since_ns) / 1e9,
+            "silent_for_s": (now - one.taken_ns) / 1e9 if one.taken_ns else None,
+            "why": HELD_SINCE,
+            "release": RELEASES,
+        }
+        for one in operation.leases.held()
     ]
 
 
@@ -278,7 +302,7 @@ def _why(lease: Lease, living: Sequence[Lease]) -> str:
         which = "a higher priority" if first.priority > lease.priority else "come first"
         return f"waits: {first.owner} has {which}"
     if lease.held:
-        return "in command, held: it requested motion while the robot could not move"
+        return f"in command, held: {HELD_SINCE}"
     if not others:
         return "in command: the only one"
     if others[0].priority == lease.priority:

@@ -67,6 +67,17 @@ def text(chars_max: int, pattern: str = "", *, default: Any = MISSING) -> Any:
     return _taking(check, default)
 
 
+def flag() -> Any:
+    """Declare true or false; false by default."""
+
+    def check(value: Any) -> bool:
+        if not isinstance(value, bool):
+            raise ValueError("must be true or false")
+        return value
+
+    return _taking(check, default=False)
+
+
 def names() -> Any:
     """Declare a list of strings; empty by default."""
 

@@ -27,6 +27,8 @@ from typing import Any
 from motord.api.local_rpc import NOT_ALLOWED, REFUSED
 from motord.client import socket_folders
 from motord.local_socket.params import Params, checked
+from motord.local_socket.peer_process import Process, process_of
+from motord_hal.base.tasks import TaskGroup
 
 PARSE_ERROR, INVALID_REQUEST, METHOD_NOT_FOUND, INVALID_PARAMS = -32700, -32600, -32601, -32602
 INTERNAL_ERROR = -32603
@@ -36,6 +38,7 @@ CALLS_MAX = 4
 CONNECTIONS_MAX = 32
 CALLS_IN_ALL_MAX = 2 * CALLS_MAX * CONNECTIONS_MAX
 """Most calls of all connections, including those that ended while a call of theirs goes on."""
+NO_MEMORY = "no memory is left for its request"
 SOCKET_MODE = 0o660
 _SO_PEERGROUPS = 59
 """include/uapi/asm-generic/socket.h, since Linux 4.13"""
@@ -60,6 +63,10 @@ class Refused(RpcError):
         super().__init__(reason, REFUSED)
 
 
+class _NoMemory(Exception):
+    """No memory is left for a request that only reads, or is not understood yet."""
+
+
 class SocketInUse(RuntimeError):
     """The path is in use: a program listens there, or it is not a socket."""
 
@@ -72,6 +79,8 @@ class Caller:
     pid: int
     uid: int
     may_command: bool
+    process: Process | None = None
+    """The process itself, as it was when it connected; None: not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,8 +173,9 @@ def _caller(connection: int, peer: socket.socket) -> Caller:
         member_of.update(struct.unpack(f"{len(groups) // 4}I", groups))
     with contextlib.suppress(OSError):
         if os.stat(peer.getsockname()).st_gid in member_of:
-            return Caller(connection, pid, uid, may_command=True)
-    return Caller(connection, pid, uid, may_command=uid in (0, os.geteuid()))
+            return Caller(connection, pid, uid, may_command=True, process=process_of(pid))
+    may_command = uid in (0, os.geteuid())
+    return Caller(connection, pid, uid, may_command=may_command, process=process_of(pid))
 
 
 # -------------------------------------------------------------------------------------- the server
@@ -185,7 +195,7 @@ async def serve(
         return sum(one.calls for one in connections.values()) >= CALLS_IN_ALL_MAX
 
     try:
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             while True:
                 await _readable(listener)
                 if (peer := await _accepted(listener, connections, stays)) is not None:
@@ -277,9 +287,9 @@ class _Connection:
     def drop(self, why: str) -> None:
         """End the connection without waiting for anything."""
         self.dropped = True
-        _log.warning("connection of process %d dropped: %s", self._caller.pid, why)
         if self._writer is not None:
             self._writer.transport.abort()
+        _log.warning("connection of process %d dropped: %s", self._caller.pid, why)
 
     async def run(self) -> None:
         """Take requests until the peer ends the connection."""
@@ -290,7 +300,7 @@ class _Connection:
         if self.dropped:  # dropped while it was opened
             self._writer.transport.abort()
         try:
-            async with asyncio.TaskGroup() as calls:
+            async with TaskGroup() as calls:
                 while (line := await self._read(reader)) is not None:
                     self.received_s = asyncio.get_running_loop().time()
                     self._take(line, calls)
@@ -318,9 +328,11 @@ class _Connection:
             self._fail(None, f"a line has at most {LINE_BYTES_MAX} bytes", INVALID_REQUEST)
         except (asyncio.IncompleteReadError, OSError):
             pass
+        except MemoryError:
+            self.drop(NO_MEMORY)
         return None
 
-    def _take(self, line: bytes, calls: asyncio.TaskGroup) -> None:
+    def _take(self, line: bytes, calls: TaskGroup) -> None:
         """Answer one request; a call that has to wait becomes a task of its own."""
         number: Any = None
         try:
@@ -334,6 +346,8 @@ class _Connection:
                 self._answer(number, {"result": result})
         except RpcError as error:
             self._fail(number, str(error), error.code)
+        except _NoMemory:
+            self.drop(NO_MEMORY)
 
     def _call(self, name: str, raw: dict[str, Any]) -> Any:
         method = self._methods.get(name)
@@ -346,8 +360,13 @@ class _Connection:
             )
         try:
             params = raw if method.params is None else checked(method.params, raw)
+            if not method.commands:
+                return method.call(self._caller, params)
         except ValueError as error:
             raise RpcError(f"{name}: {error}", INVALID_PARAMS) from error
+        except MemoryError as error:
+            raise _NoMemory from error
+        # a MemoryError of an act ends the daemon, which takes the power off: it may be half done
         return method.call(self._caller, params)
 
     def _admit(self, call: Coroutine[Any, Any, Any], *, urgent: bool) -> None:
@@ -373,6 +392,12 @@ class _Connection:
         self._answer(number, {"error": {"code": code, "message": message}})
 
     def _answer(self, number: Any, content: dict[str, Any]) -> None:
+        try:
+            self._write(number, content)
+        except MemoryError:
+            self.drop(NO_MEMORY)
+
+    def _write(self, number: Any, content: dict[str, Any]) -> None:
         writer = self._writer
         if writer is None or writer.is_closing() or number is _NOBODY:
             return
@@ -397,6 +422,8 @@ def _request(line: bytes) -> dict[str, Any]:
     """Return the request in a line. Raises RpcError."""
     try:
         request = json.loads(line, parse_constant=_no_constant)
+    except MemoryError as error:
+        raise _NoMemory from error
     except (ValueError, RecursionError) as error:
         raise RpcError(f"not a JSON object on one line: {error}", PARSE_ERROR) from error
     if not isinstance(request, dict) or request.get("jsonrpc") != "2.0":

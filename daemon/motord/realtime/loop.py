@@ -33,6 +33,7 @@ from motord.api.page_file import JOURNAL, PageFile, PageInUse
 from motord.api.snapshot import Snapshot
 from motord.api.state_page import decode
 from motord.realtime import permissions
+from motord.realtime.raw_config import ConfigRefused, raw_config
 from motord.realtime.types import (
     AxisLimits,
     BaseLimits,
@@ -73,6 +74,7 @@ __all__ = [
 ]
 
 LEASES_MAX: int = lib.LEASES_MAX
+SOURCE_SILENT_S: int = lib.SOURCE_SILENT_S
 LEASE_NUMBERS = itertools.count(1)  # shared by the whole process: each lease has its own number
 _ESTOP_INPUTS = ("none", "clear", "active", "lost")  # the index is an ESTOP_* of C
 _NO_GAINS = {name: 0.0 for name, _ in ffi.typeof("speed_loop_gains").fields}
@@ -94,27 +96,9 @@ class SpeedLoopKind(enum.IntEnum):
     DUTY = lib.SPEED_LOOP_DUTY
 
 
-class ConfigRefused(ValueError):
-    """The core refuses a configuration. `field` is its first bad field, for example
-    `joint[1].wheel_radius_m`."""
-
-    def __init__(self, field: str) -> None:
-        super().__init__(f"the core refuses {field}: out of range or not finite")
-        self.field = field
-
-
 def limits_problem(limits: BaseLimits) -> str | None:
     """Return the first field out of range, e.g. `linear.velocity_u_s`; None: all are good."""
     return first_bad(lib.base_limits_check, ffi.new("base_limits *", limits)) or None
-
-
-def _core_config(config: CoreConfig) -> Any:
-    if not len(config["joint"]) == config["joint_count"] <= lib.JOINTS_MAX:
-        raise ConfigRefused("joint_count")
-    raw = ffi.new("core_config *", config)
-    if bad := first_bad(lib.core_config_check, raw):
-        raise ConfigRefused(bad)
-    return raw
 
 
 class HistogramKind(enum.IntEnum):
@@ -158,7 +142,7 @@ class Loop:
         configuration that the core refuses, ValueError for a CPU that is not in 0..63."""
         if any(not 0 <= number <= 63 for number in settings.cpu):
             raise ValueError(f"cpu {settings.cpu}: each is 0..63")
-        self._core = _core_config(core)
+        self._core = raw_config(core)
         self._limits = core["limits"]
         self._settings = settings
         self._page_name = page_name
@@ -249,9 +233,9 @@ class Loop:
         with self._release:
             _raise_for(lib.loop_stop(), "loop_stop")
 
-    def grant(self, leases: Iterable[LeaseGrant]) -> None:
+    def grant(self, leases: Iterable[LeaseGrant], releases: int = 0) -> None:
         """Set the leases, LEASES_MAX at most, that may command from the next tick on. No other
-        source may."""
+        source may. `releases`: another number than before lets all held leases go on."""
         raw = self._buffers.permissions
         ffi.memmove(raw, bytes(ffi.sizeof("lease_permissions")), ffi.sizeof("lease_permissions"))
         for place, lease in zip(raw.lease, leases, strict=False):
@@ -260,7 +244,8 @@ class Loop:
             place.priority = lease.priority
             place.lifetime_ns = lease.lifetime_ns
             place.interval_least_ns = lease.interval_least_ns
-            place.barred_until_ns = lease.barred_until_ns
+            place.barred_ns = lease.barred_ns
+        raw.releases = releases
         lib.exchange_put_permissions(self._exchange, raw)
 
     def send(self, command: bytes) -> None:

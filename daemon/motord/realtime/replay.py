@@ -15,6 +15,9 @@ from _motord_rt import ffi, lib
 from motord.api.page_file import PageFile
 from motord.api.snapshot import Snapshot
 from motord.api.state_page import decode
+from motord.realtime.raw_config import raw_config
+from motord.realtime.recorded import checked_input, checked_state
+from motord.realtime.types import CoreConfig
 
 LAYOUT_VERSION: int = lib.JOURNAL_LAYOUT_VERSION
 RECORD_BYTES: int = ffi.sizeof("journal_record")
@@ -32,10 +35,14 @@ class Differing:
 
 
 class ReplayedCore:
-    """A core that you set to a recorded state and step with recorded input."""
+    """A core that you set to a recorded state and step with recorded input. Both are checked
+    first (recorded.py)."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: CoreConfig) -> None:
+        """`config`: the configuration of the recorded core. Raises ConfigRefused."""
         self._state = ffi.new("core_state *")
+        lib.core_init(self._state, raw_config(config))
+        self._initial = bytes(ffi.buffer(self._state))
         self._record = ffi.new("journal_record *")
         self._out = ffi.new("setpoints *")
         self._snapshot = ffi.new("robot_state *")
@@ -43,9 +50,11 @@ class ReplayedCore:
         """True once the core has been set to a state."""
 
     def load(self, checkpoint: bytes) -> None:
-        """Set the core to a recorded state. Raise ValueError for one of another size."""
+        """Set the core to a recorded state. Raise Damaged for one that no core with this
+        configuration has, ValueError for one of another size."""
         if len(checkpoint) != CHECKPOINT_BYTES:
             raise ValueError(f"a state of {len(checkpoint)} bytes, not {CHECKPOINT_BYTES}")
+        checked_state(self._initial, checkpoint)
         ffi.memmove(self._state, checkpoint, CHECKPOINT_BYTES)
         self.known = True
 
@@ -61,9 +70,10 @@ class ReplayedCore:
 
     def step(self, record: bytes) -> list[Differing]:
         """Step the core by one tick; return the values that differ from the recorded ones. Raise
-        ValueError for a record of another size."""
+        Damaged for input that the core cannot get, ValueError for a record of another size."""
         if len(record) != RECORD_BYTES:
             raise ValueError(f"a record of {len(record)} bytes, not {RECORD_BYTES}")
+        checked_input(record)
         raw = self._record
         ffi.memmove(raw, record, RECORD_BYTES)
         lib.core_step(self._state, ffi.addressof(raw, "input"), raw.dt_s, self._out, self._snapshot)

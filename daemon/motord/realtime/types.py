@@ -120,6 +120,8 @@ class JointConfig(TypedDict):
     rad_per_count: float
     counter_bits: int
     line: int
+    unmeasured: NotRequired[int]
+    counter_mantissa_bits: NotRequired[int]
     pwm: PwmConfig
     speed_loop: NotRequired[SpeedLoopConfig]
     """Only for a joint whose drive takes a torque or a duty."""

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from motord.bus.guard import first
 from motord.ros2_rclpy.bridge import BridgeOptions, Wrong, serve
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.ros2_rclpy.node import RclpyNode
@@ -109,7 +110,7 @@ async def run(options: BridgeOptions, node: RclpyNode) -> None:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end.set)
-    async with asyncio.TaskGroup() as tasks:
+    async with TaskGroup() as tasks:
         work = tasks.create_task(serve(options, node))
         await end.wait()
         work.cancel()

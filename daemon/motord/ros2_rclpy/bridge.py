@@ -27,6 +27,7 @@ from motord.bus.ros2.commands import Ros2Commands
 from motord.bus.ros2.nodes import Node
 from motord.bus.runtime import Runtime
 from motord.client import ClientError, find_socket
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.config import Robot, Ros2Input
@@ -60,13 +61,16 @@ async def serve(options: BridgeOptions, node: Node) -> None:
     path, description = await _described(options)
     _log.info("%s: robot %s", path, description["robot"])
     robot = _robot(description)
+    source = _input(description, options.input)
     section = SimpleNamespace(
-        stamped=options.stamped, lease_s=_input(description, options.input)["lease_s"]
+        stamped=options.stamped,
+        lease_s=source["lease_s"],
+        goal_lease_s=source.get("goal_lease_s"),
     )
     runtime = BridgeRuntime(robot, path, description, options.limits)
-    # Ros2Commands reads only these two settings of the section.
+    # Ros2Commands reads only these settings of the section.
     commands = Ros2Commands(options.input, cast("Ros2Input", section), runtime, node)
-    async with asyncio.TaskGroup() as tasks:
+    async with TaskGroup() as tasks:
         tasks.create_task(runtime.run())
         tasks.create_task(commands.run())
 

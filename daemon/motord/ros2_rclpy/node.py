@@ -31,10 +31,12 @@ from rclpy.signals import SignalHandlerOptions
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.delay import Delays
 from motord.bus.commands.gate import NotTaken
+from motord.bus.commands.senders import Sender
 from motord.bus.inbox import Inbox, ThreadBridge
 from motord.bus.messages.cdr import decode, encode
 from motord.bus.ros2.quality import Answer, Quality, Take
 from motord.bus.ros2.senders import unnamed
+from motord_hal.base.tasks import TaskGroup
 
 ANSWER_WITHIN_S = 30.0
 """Deadline for the answer to a call; the daemon's own deadlines are shorter."""
@@ -181,7 +183,7 @@ class RclpyNode:
         executor.add_node(self._node)
         for inbox in self._inboxes:
             inbox.open()
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             thread_bridge = tasks.create_task(self._thread_bridge.run())
             try:
                 await asyncio.to_thread(_spin, executor)
@@ -276,7 +278,7 @@ class _Ear:
         # Only newer versions of rclpy report which writer sent the message.
         gid = bytes((info.get("publisher_gid") or {}).get("data", b""))[:16]
         waited_s = self._delays.waited_s(gid, info["source_timestamp"])
-        self._take(message, waited_s, self._sender(gid))
+        self._take(message, waited_s, Sender(self._sender(gid), gid or None))
 
     def _sender(self, gid: bytes) -> str:
         """Return the name of the node of this writer; without `gid`, the names of all nodes that

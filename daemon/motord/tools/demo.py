@@ -14,7 +14,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from motord.api.page_file import own_page
+from motord.base.python_command import module_command
 from motord.client import Client, ClientError, Refused
 from motord.config import Robot
 from motord.config.sections.bases import CarBase
@@ -223,20 +223,14 @@ def staged(robot_file: Path, overrides: Sequence[str] = ()) -> Iterator[Stage]:
         cleanup.callback(own_page(name).unlink, missing_ok=True)
         with log.open("wb") as sink:
             daemon = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "motord",
-                    "run",
-                    str(robot_file),
-                    *(f"--set={setting}" for setting in settings),
-                    "--socket",
-                    str(socket),
-                ],
+                module_command(
+                    "motord", "run", str(robot_file),
+                    *(f"--set={setting}" for setting in settings), "--socket", str(socket),
+                ),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=sink,
-            )
+            )  # fmt: skip
         cleanup.callback(end, daemon)
         with contextlib.suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, daemon.pid, NICE)
@@ -298,10 +292,15 @@ def drive(stage: Stage, course: Course, seconds: float, progress: Progress, ride
             ride.path.append((odometry["x_m"], odometry["y_m"]))
             progress(
                 f"{elapsed_s:5.1f} s of {seconds:.0f}   {odometry['distance_m']:5.2f} m   "
-                f"{odometry['linear_m_s']:5.2f} m/s {odometry['angular_rad_s']:5.2f} rad/s"
+                f"{_speed(odometry['linear_m_s'])} m/s {_speed(odometry['angular_rad_s'])} rad/s"
             )
         due = max(due + COMMAND_PERIOD_S, start + elapsed_s)
         time.sleep(max(due - time.monotonic(), 0.0))
+
+
+def _speed(value: float | None) -> str:
+    """Return the speed for the progress; a dash if the wheels do not determine it."""
+    return "    –" if value is None else f"{value:5.2f}"
 
 
 def run_demo(

@@ -171,8 +171,11 @@ def _follow(stage: Stage, leg: _Leg, seconds: float) -> None:
 
 def _arrived(stage: Stage, leg: _Leg) -> bool:
     truth, shown = stage.sim.truth(), stage.robot.status()["joints"]
-    off_rad = [abs(shown[name]["position_rad"] - goal) for name, goal in leg.position_rad.items()]
-    return truth.at_rest and all(off <= ERROR_MAX_RAD for off in off_rad)
+    there = (
+        (at_rad := shown[name]["position_rad"]) is not None and abs(at_rad - goal) <= ERROR_MAX_RAD
+        for name, goal in leg.position_rad.items()
+    )
+    return truth.at_rest and all(there)
 
 
 def _positions(stage: Stage) -> tuple[dict[str, float], dict[str, float]]:

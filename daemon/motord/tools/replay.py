@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import zstandard
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
 
+from motord.base.mcap_file import DamagedFile, attachments, messages
+from motord.config.load import recorded
+from motord.config.robot_file import ATTACHED_FILE
+from motord.control.assembly import core_config
+from motord.realtime.recorded import Damaged
 from motord.realtime.replay import (
     CHECKPOINT_BYTES,
     LAYOUT_VERSION,
@@ -28,6 +31,9 @@ _LENGTH = struct.Struct("<I")
 _CDR_HEADER_BYTES = 4
 _CHECKPOINTS_KEPT = 8
 _PART_BYTES_MAX = 64 << 20
+_NO_ROBOT = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What the assembly of a configuration raises where the tables and drives of a recording do not fit
+together."""
 DIFFERENCES_MAX = 50
 """Number of differing ticks that are described; all of them are counted."""
 
@@ -75,21 +81,40 @@ Watch = Callable[[ReplayedCore], None]
 def replay(path: Path, watch: Watch = lambda _: None) -> Outcome:
     """Step the core through the recording; call `watch` after each tick. Raise ReplayError or
     OSError if the recording cannot be read or replayed."""
-    run = _Run(watch)
-    for checkpoints, records in _messages(path):
-        for checkpoint in checkpoints:
-            run.note(checkpoint)
-        for record in records:
-            run.take(record)
-    if not run.outcome.ticks:
+    try:
+        run: _Run | None = None
+        for data in messages(path, TOPIC):
+            checkpoints, records = _parsed(path, data)
+            run = run or _Run(_core(path), watch)
+            for checkpoint in checkpoints:
+                run.note(checkpoint)
+            for record in records:
+                run.take(record)
+    except DamagedFile as error:
+        raise ReplayError(str(error)) from error
+    except Damaged as error:
+        raise ReplayError(f"{path}: a damaged message of {TOPIC}: {error}") from error
+    if run is None or not run.outcome.ticks:
         raise ReplayError(f"{path}: no journal of the core in it: record with journal = true")
     return run.outcome
 
 
+def _core(path: Path) -> ReplayedCore:
+    """Return a core with the configuration of the recorded one, from the robot file in the
+    recording. Raises ReplayError, DamagedFile, OSError."""
+    attached = attachments(path)
+    if ATTACHED_FILE not in attached:
+        raise ReplayError(f"{path} has no robot file in it: an earlier motord recorded it")
+    try:
+        return ReplayedCore(core_config(*recorded(attached)))
+    except _NO_ROBOT as error:
+        raise ReplayError(f"{path}: a damaged robot file in it: {error}") from error
+
+
 class _Run:
-    def __init__(self, watch: Watch) -> None:
+    def __init__(self, core: ReplayedCore, watch: Watch) -> None:
         self.outcome = Outcome()
-        self._core = ReplayedCore()
+        self._core = core
         self._watch = watch
         self._states: dict[int, bytes] = {}
         """Tick → the state that was recorded after it, for the newest recorded states."""
@@ -140,19 +165,8 @@ class _Run:
             outcome.differences.append(Difference(tick, outcome.seconds, fields))
 
 
-def _messages(path: Path) -> Iterator[tuple[list[bytes], list[bytes]]]:
-    """Yield the states and records of each message in the recording."""
-    try:
-        with path.open("rb") as file:
-            for _, _, message in make_reader(file).iter_messages(topics=[TOPIC]):
-                yield _parsed(path, message.data)
-    except McapError as error:
-        raise ReplayError(
-            f"{path} is not a complete MCAP file ({error}): mcap recover repairs it"
-        ) from error
-
-
 def _parsed(path: Path, data: bytes) -> tuple[list[bytes], list[bytes]]:
+    """Return the states and records of a message."""
     try:
         layout = _FIXED.unpack_from(data, _CDR_HEADER_BYTES)
         if layout != (LAYOUT_VERSION, RECORD_BYTES, CHECKPOINT_BYTES):
@@ -175,6 +189,8 @@ def _part(data: bytes, at: int) -> tuple[bytes, int]:
     packed = data[at : at + length]
     if len(packed) != length:
         raise ValueError("it ends early")
+    if zstandard.frame_content_size(packed) > _PART_BYTES_MAX:  # the decompressor believes it
+        raise ValueError("it is too long")
     unpacked = zstandard.ZstdDecompressor().decompress(packed, max_output_size=_PART_BYTES_MAX)
     return unpacked, at + length
 

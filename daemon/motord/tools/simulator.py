@@ -7,12 +7,12 @@ import json
 import os
 import select
 import subprocess
-import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Self
 
+from motord.base.python_command import module_command
 from motord_hal.sim.control import ControlError, SimControl
 
 START_TIMEOUT_S = 20.0
@@ -56,7 +56,7 @@ def start_simulator(
 ) -> Simulator:
     """Start `motord simulate` and wait until its ports are there. `options` are more arguments of
     its command line, for example ("--tcp", "0"). Raise ControlError if it does not start."""
-    command = [sys.executable, "-m", "motord", "simulate", os.fspath(robot), "--json"]
+    command = module_command("motord", "simulate", os.fspath(robot), "--json")
     command += ["--stop-on-eof", *options]
     for fault in faults:
         command += ["--fault", fault]

@@ -154,7 +154,7 @@ class Top(App[None]):
     def action_arm(self) -> None:
         def answered(yes: bool | None) -> None:
             if yes:
-                self._perform("arm", self._call("arm"))
+                self._perform("arm", self._call("arm", release_held=True))
 
         self.push_screen(Confirm("Power the drives? Then commands move the robot."), answered)
 
@@ -172,9 +172,9 @@ class Top(App[None]):
         """Request it by datagram, confirmed by the state page if the daemon does not answer."""
         return await asyncio.to_thread(halt, self._where(), method)
 
-    async def _call(self, method: str) -> str:
+    async def _call(self, method: str, **params: bool) -> str:
         async with Client(self._where()) as robot:
-            return str((await robot.call(method))["state"])
+            return str((await robot.call(method, **params))["state"])
 
     def _where(self) -> Path:
         return self._path if self._path is not None else self._find()

@@ -15,6 +15,7 @@ from typing import Any
 
 from rich.text import Text
 
+from motord.api.snapshot import Rest, not_known, rest_text
 from motord.api.status import Joint, LineStatus, Status
 
 TREND = 12
@@ -79,7 +80,16 @@ class Advice:
 
 
 def advice(found: Status) -> Advice:
-    """Return why the robot is in its state, and what to do about it."""
+    """Return why the robot is in its state, and what to do about it; before all a warning while it
+    is unknown whether the robot rests."""
+    on_state = _advice_on_state(found)
+    if found.rest != Rest.UNKNOWN:
+        return on_state
+    warning = rest_text(found.rest, found.rest_unknown_s)
+    return Advice(f"{warning}. {on_state.text}", urgent=True)
+
+
+def _advice_on_state(found: Status) -> Advice:
     waits = [line.waits_for for line in found.lines.values() if line.waits_for]
     commander = found.leases[0] if found.leases else None
     match found.state:
@@ -94,8 +104,9 @@ def advice(found: Status) -> Advice:
             return Advice(waits[0] if waits else "The drives are being configured.")
         case "stopping":
             return Advice("It comes to rest.")
-        case _ if commander is not None and commander.held:
-            return Advice(f"{commander.owner} is held until it sends zero.", urgent=True)
+        case _ if found.held:
+            names = ", ".join(one.owner for one in found.held)
+            return Advice(f"Held until zero: {names}. a lets them go on.", urgent=True)
         case "armed" if commander is None:
             return Advice("Powered, at rest. Any command moves the robot.")
     limits = [name for name in found.reasons if name not in ("not_armed", "command_stale")]
@@ -110,8 +121,9 @@ def header(found: Status) -> Text:
     text.append(f" {found.state.upper()} ", _STATE_STYLES.get(found.state, "bold reverse"))
     text.append(f" {found.robot}  ", "bold")
     text.append(words.text + "\n", "bold red" if words.urgent else "")
+    speed = f"{_fixed(at.linear_m_s, 2)} m/s {_fixed(at.angular_rad_s, 2)} rad/s"
     text.append(
-        f"speed {_fixed(at.linear_m_s, 2)} m/s {_fixed(at.angular_rad_s, 2)} rad/s  set-point "
+        f"speed {not_known(at.age_s) if at.linear_m_s is None else speed}  set-point "
         f"{_fixed(to.setpoint_linear_m_s, 2)} {_fixed(to.setpoint_angular_rad_s, 2)}  "
     )
     text.append(_battery(found))
@@ -137,13 +149,22 @@ def joints(found: Status, history: History) -> Text:
         bad = bool(joint.fault_words) or joint.stale or joint.drive == "unresponsive"
         text.append(
             f"\n{name[:12]:12} {joint.drive[:8]:9}{_fixed(joint.setpoint_rad_s, 2):>7}"
-            f"{_fixed(joint.velocity_rad_s, 2):>7}{_fixed(joint.current_a, 2):>6}"
-            f"{_fixed(joint.temperature_c, 0):>5}{_age_ms(joint):>8}  ",
+            f"{_measured(joint):>26}  ",
             "bold red" if bad else "",
         )
         text.append(history.speeds(name), "green")
         text.append("".join(f" {word}" for word in joint.fault_words), "bold red")
     return text
+
+
+def _measured(joint: Joint) -> str:
+    """Return what the joint's newest feedback shows, in 26 columns."""
+    if joint.stale:
+        return not_known(joint.feedback_age_s)
+    return (
+        f"{_fixed(joint.velocity_rad_s, 2):>7}{_fixed(joint.current_a, 2):>6}"
+        f"{_fixed(joint.temperature_c, 0):>5}{_age_ms(joint):>8}"
+    )
 
 
 def _age_ms(joint: Joint) -> str:
@@ -190,7 +211,8 @@ def leases(found: Status) -> Text:
             f"{_fixed(lease.angular_rad_s, 2):>8}{_fixed(lease.rate_hz, 0):>6}  ",
             "bold" if number == 0 else "dim",
         )
-        text.append("held until it sends zero" if lease.held else lease.why, "dim")
+        words = "held until it sends zero" if lease.held else lease.sparse or lease.why
+        text.append(words, "bold red" if lease.sparse else "dim")
     if not found.leases:
         text.append("\nno source commands", "dim")
     return text

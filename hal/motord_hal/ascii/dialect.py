@@ -62,7 +62,7 @@ def check_feedback(text: Text, joints: tuple[str, ...], scaled: Iterable[str] = 
 
 def motor_rad_per_m(spec: TextSpec, joint: JointSpec) -> float:
     """Return the angle of the motor's shaft for each metre that the wheel's rim goes forward."""
-    return (-1.0 if joint.inverted else 1.0) * joint.gear_ratio / spec.wheels[joint.name].radius_m
+    return joint.sign * joint.gear_ratio / spec.wheels[joint.name].radius_m
 
 
 def counts_per_m(spec: TextSpec, joint: JointSpec) -> float:

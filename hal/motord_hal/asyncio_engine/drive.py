@@ -12,13 +12,14 @@ from collections.abc import Sequence
 from typing import Generic, TypeVar
 
 from motord_hal.base.clock import now_ns
-from motord_hal.base.errors import HalError, NoReply
+from motord_hal.base.errors import HalError, NoReply, WrongDrive
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.faults import STILL_ENABLED_TEXT, FaultWatch, Say
 from motord_hal.fieldbus.job import Job
 from motord_hal.fieldbus.line import PRESENT
 from motord_hal.fieldbus.plan import Plan, Reading, Wanted
 from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
+from motord_hal.fieldbus.set_up import SetUpJob, braking_within_s, set_up
 from motord_hal.realtime.drive_state import DriveRules, FaultReason, Mode, Stop
 from motord_hal.realtime.exchange import Exchange, is_fresh
 
@@ -61,6 +62,7 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._line = spec.index
         self._setpoint_timeout_s = spec.setpoint_timeout_s
         self._rest_velocity_rad_s = spec.rest_velocity_rad_s
+        self._braking_within_s = braking_within_s(spec)
         self._values: dict[str, int] = {}
         """Register → newest raw value."""
         self._rules = DriveRules()
@@ -126,12 +128,17 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
     def lose(self, error: HalError) -> None:
         """Note that the medium is lost. The drive's state is unknown."""
         self._forget(error)
-        self._rules.request(Mode.OFF)
+        self._rules.forget()
 
     def _forget(self, error: HalError) -> None:
         while self.jobs:
             self.jobs.popleft().fail(error)
         self._values = {}
+
+    @property
+    def _probes_brake(self) -> bool:
+        """Whether the probes of the unresponsive drive brake it."""
+        return self._may_turn
 
     def _forget_enabled(self) -> None:
         """Drop the value of "enabled", which a step may have changed, until the next read."""
@@ -143,10 +150,12 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         return ""
 
     def _answers(self) -> None:
-        """Set up the drive, which answers. A drive that was unresponsive may still have power."""
-        was_unresponsive = self.state is DriveState.UNRESPONSIVE
-        stop = self._rules.answers() if was_unresponsive else Stop.NOTHING
-        self.configure(f"{self} is being configured", stop)
+        """Set up the drive, which answers. One that its probes brake is braked on, and so is one
+        that was not set up here before: its set-up takes its power when it rests."""
+        braking, stop = self._probes_brake or not self._rules.epoch, Stop.NOTHING
+        if self.state is DriveState.UNRESPONSIVE:
+            stop = self._rules.answers(braking=braking)
+        self.configure(f"{self} is being configured", stop, braking=braking)
 
     def _becomes_unresponsive(self, error: HalError) -> bool:
         """Mark the drive as unresponsive. Return whether that is new, and was reported."""
@@ -156,7 +165,8 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
             return False
         self._reported_unresponsive = True
         why = "; ".join(filter(None, (str(error), self._hint())))
-        self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {why}")
+        what = "is refused" if isinstance(error, WrongDrive) else "is unresponsive"
+        self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} {what}: {why}")
         return True
 
     # ------------------------------------------------------------------------------------- feedback
@@ -220,19 +230,25 @@ class AsyncioDrive(abc.ABC, Generic[AnyPlan]):
         self._drop_quick_stop()
         return self.submit(Job("disarm", self.plan.profile.disarm, urgent=True))
 
-    def configure(self, why: str, stop: Stop = Stop.NOTHING) -> None:
+    def configure(self, why: str, stop: Stop = Stop.NOTHING, *, braking: bool = False) -> None:
         """Discard the drive's values, and set it up again. It ends READY, never ARMED. A power-off
         goes first if one is pending, or if the rules demand one: in `stop`, which they returned
-        earlier, or now."""
+        earlier, or now; not (`braking`) while the drive brakes."""
         pending = [job for job in self.jobs if job.name == "disarm"]
         for job in pending:
             self.jobs.remove(job)
         demanded = {stop, self._rules.request(Mode.OFF)}
-        if Stop.POWER_OFF in demanded and not pending:
+        if Stop.POWER_OFF in demanded and not pending and not braking:
             pending = [Job("disarm", self.plan.profile.disarm, urgent=True)]
         self._forget(NoReply(why))
         self.jobs.extend(pending)
-        self.submit(Job("configure", self._setup))
+        joints, profile = self.plan.joints, self.plan.profile
+        rest_rad_s = self._rest_velocity_rad_s
+        parts = set_up(joints, profile, self._setup, rest_rad_s, self._warn, self._braking_within_s)
+        self.submit(SetUpJob(parts))
+
+    def _warn(self, text: str) -> None:
+        self._say(EventKind.DRIVE_WARNING, self.names, f"{self} {text}")
 
     def _drop(self, job: Job) -> None:
         if job in self.jobs:

@@ -7,9 +7,10 @@ from __future__ import annotations
 import errno
 import os
 import re
+import stat
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 TOML_BYTES_MAX = 256 * 1024
 """Limit for TOML files: ten times the longest robot file that is known."""
@@ -28,11 +29,27 @@ TOKEN = re.compile(
 """A token of a TOML text."""
 
 
-def read(path: Path, bytes_max: int = TOML_BYTES_MAX) -> bytes:
-    """Read a whole file. Raises OSError, also if the file is too long or does not exist."""
+def opened(path: Path) -> BinaryIO:
+    """Open a file for reading. Raises OSError, also for what is no regular file: a named pipe
+    without a writer would keep the program waiting for ever, a device gives bytes without end."""
     if "\0" in str(path):
         raise OSError(errno.EINVAL, os.strerror(errno.EINVAL), str(path))
-    with path.open("rb") as file:
+    fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    if stat.S_ISREG(os.fstat(fd).st_mode):
+        return open(fd, "rb")
+    os.close(fd)
+    raise OSError(errno.EINVAL, "is not a regular file", str(path))
+
+
+def regular(path: Path) -> Path:
+    """Return the path of a file that a library opens by itself. Raises OSError as `opened`."""
+    opened(path).close()
+    return path
+
+
+def read(path: Path, bytes_max: int = TOML_BYTES_MAX) -> bytes:
+    """Read a whole file. Raises OSError as `opened`, and if the file is too long."""
+    with opened(path) as file:
         found = file.read(bytes_max + 1)
     if len(found) > bytes_max:
         raise OSError(errno.EFBIG, f"has more than {bytes_max} bytes", str(path))

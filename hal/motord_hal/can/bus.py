@@ -163,7 +163,7 @@ class CanBus:
             self.trace.put(stamp_ns, packed(message), outward=False)
         if message.is_error_frame:
             self._note(message)
-        elif not message.is_remote_frame and self._bus is not None:
+        elif self._bus is not None:
             self._take(message, stamp_ns)
 
     def _note(self, message: can.Message) -> None:
@@ -230,6 +230,11 @@ class CanBus:
 def receives_own(address: str) -> bool:
     """Whether this kind of bus reports when a frame of motord's has left; SocketCAN does."""
     return split_address(address)[0] == "socketcan"
+
+
+def shows_own(address: str) -> bool:
+    """Whether this kind of bus hands motord its own frames as if they were those of other nodes."""
+    return split_address(address)[0] == "udp_multicast"
 
 
 def came_ns(message: can.Message, emptied_ns: int) -> int:

@@ -168,7 +168,7 @@ class CanDrive(AsyncioDrive[CanPlan]):
         elif setting_up or self.state in self._past_patience():
             self._mark_unresponsive(missing)
         if self.state in (DriveState.UNKNOWN, DriveState.UNRESPONSIVE):
-            self._probe()
+            self._probe(stops=not any(job.name == "configure" for job in self.jobs))
 
     def _set_up_again(self) -> None:
         """Set up the drive, which responds again. After each failed set-up, wait longer."""
@@ -198,17 +198,23 @@ class CanDrive(AsyncioDrive[CanPlan]):
             self._backoff.reset()
             self._probe_at_s = 0.0
 
-    def _probe(self) -> None:
+    @property
+    def _probes_brake(self) -> bool:
+        """Implement `AsyncioDrive._probes_brake`. Later they take its power."""
+        return self._may_turn and now_s() <= self._unresponsive_since_s + STOPPING_WITHIN_S
+
+    def _probe(self, *, stops: bool) -> None:
         """Request the frames that do not come by themselves. A silent drive may still receive and
-        follow its last set-point, so a drive that may turn gets a stop."""
+        follow its last set-point, so a drive that may turn gets a stop, except (not `stops`) while
+        its set-up brakes it."""
         if now_s() < self._probe_at_s:
             return
         self._probe_at_s = now_s() + self._backoff.next_s()
-        if self._may_turn and now_s() > self._unresponsive_since_s + STOPPING_WITHIN_S:
-            self._write_all(self.plan.profile.disarm)
-        elif self._may_turn:
+        if stops and self._probes_brake:
             self._write_all(self.plan.profile.quick_stop)
             self._send_setpoints({})
+        elif stops and self._may_turn:
+            self._write_all(self.plan.profile.disarm)
         for frame in (self.plan.hello,) if self.plan.hello else self.plan.probed:
             self._ask(frame)
 

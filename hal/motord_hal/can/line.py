@@ -14,14 +14,14 @@ import can
 
 from motord_hal.asyncio_engine.line import STOPPING_CYCLE_S, AsyncioLine
 from motord_hal.base.clock import now_s
-from motord_hal.can.bus import CanBus, receives_own
+from motord_hal.can.bus import CanBus, receives_own, shows_own
 from motord_hal.can.drive import CanDrive
+from motord_hal.can.identifiers import ForeignSenders, OwnFrames, can_plans, sendings
 from motord_hal.can.motion_gate import MotionGate
-from motord_hal.can.plan import STEADY_S, CanPlan, Sent, wire_limit_hz
+from motord_hal.can.plan import STEADY_S, Sent, wire_limit_hz
 from motord_hal.fieldbus.job import Job
 from motord_hal.fieldbus.plan import Wanted
 from motord_hal.fieldbus.ports import EventKind, LineSpec, LineStats, Listener
-from motord_hal.fieldbus.units import joints_by_unit
 from motord_hal.realtime.exchange import Exchange
 
 
@@ -32,10 +32,17 @@ class CanLine(AsyncioLine[CanDrive]):
 
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
         super().__init__(spec, exchange, listener, 1.0 / spec.cycle_hz)
-        plans = [CanPlan(joints) for joints in joints_by_unit(spec)]
+        plans = can_plans(spec)
         identifiers = [one for plan in plans for one in plan.identifiers]
         self._syncs = tuple(dict.fromkeys(plan.sync for plan in plans if plan.sync))
-        own = [one for plan in plans for one in plan.setpoint_identifiers]
+        self._carry_setpoints = {one for plan in plans for one in plan.setpoint_identifiers}
+        self._sendings = {
+            (one.identifier, one.extended, one.remote): one for one in sendings(plans)
+        }
+        self._foreign_senders = ForeignSenders()
+        self._shows_own = receives_own(spec.port) or shows_own(spec.port)
+        self._own_frames = OwnFrames()
+        own = [(one.identifier, one.extended) for one in self._sendings.values()]
         wire = (spec.port, spec.baudrate, spec.data_baudrate)
         self._bus = CanBus(*wire, identifiers, self._take_frame, self._warn, own)
         self.trace = self._bus.trace
@@ -81,10 +88,10 @@ class CanLine(AsyncioLine[CanDrive]):
         self._bus.close()
 
     def _take_frame(self, message: can.Message, stamp_ns: int) -> None:
-        drive = self._by_identifier.get((message.arbitration_id, message.is_extended_id))
+        named = (message.arbitration_id, message.is_extended_id)
+        drive = None if message.is_remote_frame else self._by_identifier.get(named)
         if drive is None:
-            if not message.is_rx:
-                self._gate.left()
+            self._take_other(message)
             return
         found = drive.plan.parse(
             message.arbitration_id, bytes(message.data), extended=message.is_extended_id
@@ -95,14 +102,36 @@ class CanLine(AsyncioLine[CanDrive]):
         self._frames += 1
         drive.receive(*found, stamp_ns)
 
+    def _take_other(self, message: can.Message) -> None:
+        """Take a frame of no drive: one of motord's that has left, or one of another node, which
+        can move the drives if it sends what motord sends."""
+        key = (message.arbitration_id, message.is_extended_id, message.is_remote_frame)
+        sending = self._sendings.get(key)
+        if sending is None:
+            return
+        if self._shows_own and self._own_frames.came(key, bytes(message.data)):
+            if key[:2] in self._carry_setpoints:
+                self._gate.left()
+            return
+        self._bus.errors["foreign"] += 1
+        if warning := self._foreign_senders.new(sending, now_s()):
+            self._warn(f"{self.spec.port}: {warning}")
+
     def _look(self) -> None:
         """Take in all received frames, before a drive counts as missing."""
         self._bus.catch_up()
         self._bus.check()
 
     def _send(self, sent: Sent) -> bool:
-        taken = self._bus.send(sent)
+        taken = self._put(sent)
         self._gate.handed(taken=taken)
+        return taken
+
+    def _put(self, sent: Sent) -> bool:
+        """Send a frame as `CanBus.send` does, and note it for when it comes back."""
+        taken = self._bus.send(sent)
+        if taken and self._shows_own:
+            self._own_frames.sent(sent)
         return taken
 
     def _newest(self, drive: CanDrive) -> Wanted:
@@ -142,7 +171,7 @@ class CanLine(AsyncioLine[CanDrive]):
     def _synchronise(self) -> None:
         """Send SYNC: all drives act now on their frames of this cycle. Raises PortError."""
         for sync in self._syncs:
-            self._bus.send(sync)
+            self._put(sync)
         for drive in self._drives:
             drive.synchronised()
 

@@ -92,6 +92,26 @@ class Frame:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Reserved:
+    """Identifiers that are a drive's on the CAN bus, though motord neither sends nor reads them:
+    all whose bits under `mask` are those of `identifier`."""
+
+    name: str
+    base: int
+    mask: int
+    node_shift: int
+    extended: bool
+    sender: Sender
+    """DRIVE: the drive may send them; MOTORD: it obeys them."""
+    addressed: bool
+    """False: they are the same for all nodes."""
+    source: str
+
+    def identifier(self, node: int) -> int:
+        return self.base + (node << self.node_shift) if self.addressed else self.base
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Signal(Register):
     """A place in a frame that holds one value."""
 
@@ -192,6 +212,8 @@ class CanTable:
     they act and measure at one moment."""
     abort: str = ""
     """Frame with which the drive refuses another one."""
+    reserved: tuple[Reserved, ...] = ()
+    """What the drive sends or obeys beside its frames."""
 
     def frames_from(self, sender: Sender) -> tuple[Frame, ...]:
         return tuple(frame for frame in self.frames.values() if frame.sender is sender)

@@ -208,6 +208,12 @@ class Channel:
     position_setpoint: str | None = None
     """Register of the target position, in the unit of `position` and from the same origin. Exactly
     one of the four set-points exists."""
+    move_velocity: str | None = None
+    """Register of the speed at which the drive moves to a position; see `moves_at_rad_s`."""
+    position_least: str | None = None
+    position_greatest: str | None = None
+    """Registers of the range that the drive keeps by itself, in the unit of `position`. If the
+    least is not below the greatest, the drive keeps none."""
     setpoint_with: tuple[tuple[str, int], ...] = ()
     """Pairs (register, raw value) that are written in one request with each set-point. Their
     arrival makes the drive follow the set-point."""
@@ -216,6 +222,9 @@ class Channel:
     position: str | None = None
     velocity: str | None = None
     current: str | None = None
+    current_sign: str = "torque"
+    """"torque": a signed current is positive while the motor pushes forward; "power": while the
+    drive draws power, in either direction."""
     temperature: str | None = None
     fault: str | None = None
     direction: Direction | None = None
@@ -272,6 +281,21 @@ class Enabled:
     register: str
     mask: int
     equals: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identity:
+    """What a drive of this profile reports of itself: (register & mask) is one of `values`."""
+
+    register: str
+    mask: int
+    values: tuple[int, ...]
+    others: tuple[tuple[int, str], ...] = ()
+    """Pairs (value, name) of other drives, to name the one that answers."""
+
+    def name_of(self, value: int) -> str:
+        """Return the name of the other drive that reports this value; empty: it is not known."""
+        return dict(self.others).get(value, "")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -367,6 +391,9 @@ class DriveProfile:
     disarm: tuple[Step, ...]
     quick_stop: tuple[Step, ...]
     clear_fault: tuple[Step, ...]
+    identity: tuple[Identity, ...] = ()
+    """What is read at each set-up, before anything is written; empty: the drive reports nothing by
+    which it could be recognised."""
     enabled: Enabled | None
     """None: the drive cannot report whether it is enabled."""
     power_off: Enabled | None = None
@@ -381,6 +408,8 @@ class DriveProfile:
     watchdog_fixed_s: float = 0.0
     """The drive stops by itself after this time of silence, which can neither be set nor read; 0:
     the drive does not stop by itself."""
+    unknown: tuple[str, ...] = ()
+    """Facts about the drive that are not known."""
     faults: tuple[FaultBit, ...]
     bus_voltage: str | None
     can: CanTable | None = None
@@ -391,6 +420,16 @@ class DriveProfile:
     @property
     def goes_to_positions(self) -> bool:
         return any(channel.position_setpoint for channel in self.channels.values())
+
+    def moves_at_rad_s(self, channel: Channel) -> float:
+        """Return the speed at which the drive moves to a position, at the motor: what motord writes
+        to `move_velocity`. inf: no bound is known."""
+        name = channel.move_velocity
+        if name is None:
+            return math.inf
+        written = {step.register: step.value for step in self.configure}
+        raw = {**written, **dict(channel.setpoint_with)}.get(name)
+        return abs(self.registers[name].to_si(raw)) if raw else math.inf
 
     def faults_in(self, word: int) -> tuple[FaultBit, ...]:
         """Return the faults in a fault word. A bit or code that the profile does not list counts as

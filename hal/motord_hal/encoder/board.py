@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Mapping
 
 from motord_hal.base.clock import now_ns, now_s
-from motord_hal.base.errors import PortError
+from motord_hal.base.errors import SYSTEM_ERRORS, PortError
 from motord_hal.base.retry import Backoff
 from motord_hal.fieldbus.ports import BoardEncoder, EventKind, LineSpec
 from motord_hal.mcu.frames import (
@@ -83,6 +83,8 @@ class CountingBoard:
                 await self._listen(backoff)
             except PortError as error:
                 self._fail(str(error))
+            except SYSTEM_ERRORS as error:
+                self._fail(f"{self._port}: {error} (a bug of motord: please report it)")
             finally:
                 self._stream.close()
             await asyncio.sleep(backoff.next_s())

@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every line does, on each engine: open its medium, run, reopen, shut down. However a line
 ends, its drives are brought to rest before its medium is closed.
+
+A kind of line turns the errors of its medium into HalErrors. One that it misses is a bug, but costs
+no more than a lost medium does: the daemon and its other lines go on.
 """
 
 from __future__ import annotations
 
 import abc
 import asyncio
+import logging
 from collections.abc import Mapping, Sequence
 from typing import Generic, Protocol, TypeVar
 
-from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError
+from motord_hal.base.errors import SYSTEM_ERRORS, DriveFault, HalError, NoReply, PortError, first_of
 from motord_hal.base.retry import Backoff
 from motord_hal.fieldbus.faults import FaultWatch
 from motord_hal.fieldbus.ports import (
@@ -33,6 +37,8 @@ delays the loop may delay this process, too."""
 NO_SETPOINTS = "no fresh set-points: is the loop running?"
 PRESENT = (DriveState.READY, DriveState.ARMED)
 """States of a drive that is set up and responds."""
+
+_log = logging.getLogger(__name__)
 
 
 class DriveOnLine(Protocol):
@@ -65,7 +71,10 @@ class LineTask(abc.ABC):
         self._losses = 0
         """How often the medium was lost, or could not be opened."""
         self._reopened = 0
-        self._backoff = Backoff(REOPEN_FIRST_S, REOPEN_LIMIT_S)
+        self._logged_bug = ""
+        # drives that were left running have to be stopped soon: no try may be far from the next
+        limit_s = REOPEN_FIRST_S if spec.left_running else REOPEN_LIMIT_S
+        self._backoff = Backoff(REOPEN_FIRST_S, limit_s)
 
     # ----------------------------------------------------------------------------------- the medium
     @abc.abstractmethod
@@ -91,16 +100,35 @@ class LineTask(abc.ABC):
         try:
             while True:
                 await self._open()
-                try:
-                    await self._work()
-                except PortError as error:
-                    self._lose(error)
+                await self._work_until_lost()
         finally:
             try:
                 if self._is_open:
-                    await self._shut_down()
+                    await self._shut_down_surely()
             finally:
                 self._close(PortError(f"{self.spec.name} is closed"))
+
+    async def _work_until_lost(self) -> None:
+        try:
+            await self._work()
+        except* (HalError, *SYSTEM_ERRORS) as group:
+            error = first_of(group)
+        task = asyncio.current_task()
+        if task is not None and task.cancelling():  # a group of tasks drops it for an error
+            raise asyncio.CancelledError
+        if not isinstance(error, PortError):
+            error = self._bug(error)
+            self._report_loss(error)  # the other lines stop meanwhile
+            await self._shut_down_surely()  # the medium may be in order
+        self._lose(error)
+
+    async def _shut_down_surely(self) -> None:
+        """Shut the drives down. If that fails, report that they may still have power."""
+        try:
+            await self._shut_down()
+        except SYSTEM_ERRORS as error:
+            text = f"{self.spec.name}: not switched off at the end: {self._bug(error)}"
+            self._say_all(EventKind.DRIVE_LEFT_ON, text)
 
     async def _open(self) -> None:
         while True:
@@ -111,6 +139,8 @@ class LineTask(abc.ABC):
                 break
             except HalError as error:
                 self._lose(error)
+            except SYSTEM_ERRORS as error:
+                self._lose(self._bug(error))
         self._reopened += self._reported_lost
         self._is_open, self._reported_lost = True, False
         self._say_all(EventKind.LINE_OPEN, text)
@@ -118,6 +148,9 @@ class LineTask(abc.ABC):
     def _lose(self, error: HalError) -> None:
         self._losses += 1
         self._close(error)
+        self._report_loss(error)
+
+    def _report_loss(self, error: HalError) -> None:
         if not self._reported_lost:
             self._reported_lost = True
             self._say_all(EventKind.LINE_LOST, f"{self.spec.name}: {error}")
@@ -125,9 +158,21 @@ class LineTask(abc.ABC):
     def _close(self, error: HalError) -> None:
         """Close the medium, and raise `error` in the callers that wait for a drive."""
         self._is_open = False
-        self._close_medium()
+        try:
+            self._close_medium()
+        except (HalError, *SYSTEM_ERRORS) as failure:
+            self._bug(failure)
         for drive in self._drives:
             drive.lose(error)
+
+    def _bug(self, error: BaseException) -> PortError:
+        """Log an error that a kind of line should have handled; the same one once. Return it as the
+        loss of the medium."""
+        text = f"{type(error).__name__}: {error}"
+        if text != self._logged_bug:
+            self._logged_bug = text
+            _log.error("%s: a bug of motord: please report it", self.spec.name, exc_info=error)
+        return PortError(f"{text} (a bug of motord: see the log)")
 
     # ------------------------------------------------------------------------------------ events
     def _say(self, kind: EventKind, joints: tuple[str, ...], text: str) -> None:
@@ -237,9 +282,11 @@ class DriveLine(LineTask, Generic[AnyDrive]):
     async def disarm(self) -> None:
         """Implement `ports.Line.disarm`. From the call on, every set-point is zero."""
         self._check_open()
-        await self._stand_down(
-            [one for one in self._drives if one.state is not DriveState.UNRESPONSIVE]
-        )
+        there = [one for one in self._drives if one.state is not DriveState.UNRESPONSIVE]
+        await self._stand_down(there)
+        if silent := [one for one in self._drives if one not in there]:
+            names = ", ".join(name for drive in silent for name in drive.names)
+            raise NoReply(f"{names}: no answer, so the power-off is not confirmed")
 
     async def clear_faults(self) -> None:
         """Implement `ports.Line.clear_faults`. Leave drives without a fault as they are."""

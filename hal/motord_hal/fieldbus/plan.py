@@ -75,11 +75,10 @@ class Plan:
         """Convert the raw values of a joint. `sign` is the sign of a velocity that is sent without
         one."""
         channel = self.channel(joint)
-        sign *= -1.0 if joint.inverted else 1.0
         return Reading(
             count=count,
-            velocity_rad_s=self._si(channel.velocity, values) / joint.gear_ratio * sign,
-            current_a=self._si(channel.current, values),
+            velocity_rad_s=self._si(channel.velocity, values) * joint.velocity_factor * sign,
+            current_a=self._si(channel.current, values) * joint.current_factor,
             voltage_v=self._si(self.profile.bus_voltage, values),
             temperature_c=self._si(channel.temperature, values),
             enabled=self.enabled(values),
@@ -110,9 +109,8 @@ class Plan:
         raw = {}
         for joint in self.joints:
             channel = self.channel(joint)
-            sign = -1.0 if joint.inverted else 1.0
             value = of_kind(channel, wanted.get(joint.index, REST))
-            value *= channel.to_motor(joint.gear_ratio) * sign
+            value *= channel.to_motor(joint.gear_ratio) * joint.sign
             if not math.isfinite(value):
                 value = 0.0
             if channel.direction is not None:

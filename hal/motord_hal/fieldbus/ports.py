@@ -80,8 +80,14 @@ class JointSpec:
     """Counts for one turn of the motor, if the joint takes positions; 0: as in the profile."""
     zero_count: int = 0
     """Value of the position counter at the angle 0 of a joint that takes positions."""
+    position_min_rad: float = 0.0
+    position_max_rad: float = 0.0
+    """Range of a joint that takes positions."""
     position_velocity_rad_s: float = 0.0
     """Highest speed of the target of a joint that takes positions, > 0; 0 for other joints."""
+    identity: Mapping[str, int] = field(default_factory=dict)
+    """Register of the drive → raw value that it has to read at each set-up. It replaces what the
+    profile expects there."""
     pins: Mapping[str, str] = field(default_factory=dict)
     """Pin of the bridge → its place: "pwmN", or the name or number of a GPIO line; a "!" before it
     means active low. "fault" is an input."""
@@ -91,6 +97,28 @@ class JointSpec:
     reply_timeout_s: float | None = None
     """Deadline for a reply after the request's last byte; None: frame time plus the profile's
     turn-around."""
+
+    # What has a sign, and is turned at an inverted joint: set-points by `sign`; velocity and
+    # current by the two factors; the frames of a `direction` by `inverted`; the counter in the
+    # core, by `rad_per_count` of the configuration. Voltage, temperature and fault word have none.
+    @property
+    def sign(self) -> float:
+        """-1 if the motor turns backward when the robot drives forward, else 1."""
+        return -1.0 if self.inverted else 1.0
+
+    @property
+    def velocity_factor(self) -> float:
+        """Factor from the motor's velocity to the wheel's."""
+        return self.sign / self.gear_ratio
+
+    @property
+    def current_factor(self) -> float:
+        """Factor from the reported current to that of the joint, which is positive while the wheel
+        is pushed forward; a current without a sign, or by power, stays as it is."""
+        channel = self.profile.channels[self.channel]
+        if channel.current is None or channel.current_sign != "torque":
+            return 1.0
+        return self.sign if self.profile.registers[channel.current].type.signed else 1.0
 
 
 class DirectionKind(enum.StrEnum):
@@ -366,7 +394,7 @@ class Line(Protocol):
 
     async def disarm(self) -> None:
         """Send zero speed and power-off to every drive that answers. Raise the first HalError after
-        all were tried."""
+        all were tried; NoReply if a drive does not answer."""
         ...
 
     async def clear_faults(self) -> None:

@@ -4,17 +4,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 from motord_hal.base.errors import ProfileError
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 
+DriveKey = tuple[int, Path | None]
+"""What distinguishes a drive from the others of its line."""
+
+
+def drive_key(joint: JointSpec) -> DriveKey:
+    """Return what distinguishes the joint's drive from the others of its line: its unit, and on a
+    CAN bus its profile, too. There identifiers count, and two kinds of drives may have the same
+    number."""
+    return joint.unit, joint.profile.path if joint.profile.can is not None else None
+
 
 def joints_by_unit(spec: LineSpec) -> Iterable[list[JointSpec]]:
-    """Group the joints of a line by unit. Raise ProfileError if joints cannot share their unit, or
+    """Group the joints of a line by drive. Raise ProfileError if joints cannot share their unit, or
     their drive has no such channel."""
-    units: dict[int, list[JointSpec]] = {}
+    units: dict[DriveKey, list[JointSpec]] = {}
     for joint in spec.joints:
-        others = units.setdefault(joint.unit, [])
+        others = units.setdefault(drive_key(joint), [])
         for other in others:
             if other.profile.name != joint.profile.name:
                 raise ProfileError(

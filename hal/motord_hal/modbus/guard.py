@@ -49,15 +49,13 @@ from motord_hal.modbus.codec import (
     silent_interval_s,
 )
 from motord_hal.modbus.late import LateReplies
+from motord_hal.modbus.timing import LATE_UART_S, late_silence_s
 from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.sysfs import device_file
 
 if TYPE_CHECKING:
     from motord_hal.serial.loop_port import LoopPort
 
-SCHEDULING_ALLOWANCE_S = 0.02
-"""Time added to every reply deadline: a USB adapter holds bytes back for up to 16 ms (FTDI's
-default latency timer), and the event loop may be late by some milliseconds."""
 BROADCAST_TURNAROUND_S = 0.1
 """Turn-around delay, Serial Line V1.02, 2.4.1: 100 to 200 ms, typically."""
 NEVER_SILENT_S = 0.25
@@ -182,6 +180,8 @@ class Answer:
 class GuardedClient:
     """One serial port, with one request in flight."""
 
+    kind = "modbus-rtu"
+
     def __init__(
         self,
         port: str,
@@ -218,7 +218,7 @@ class GuardedClient:
     def reply_deadline_s(self, request: Request, turnaround_s: float) -> float:
         """Return the deadline from the request's last byte on: turn-around, reply on the wire,
         allowance."""
-        return turnaround_s + self.wire_time_s(reply_bytes(request)) + SCHEDULING_ALLOWANCE_S
+        return turnaround_s + self.wire_time_s(reply_bytes(request)) + LATE_UART_S
 
     @property
     def connected(self) -> bool:
@@ -385,7 +385,8 @@ class GuardedClient:
         if request.unit == BROADCAST_UNIT:
             self._line_silent_until_s = max(now, sent) + BROADCAST_TURNAROUND_S
         else:
-            self._unit_silent_until_s[request.unit] = max(now, sent + within_s) + within_s
+            silence_s = late_silence_s(self.kind, within_s)
+            self._unit_silent_until_s[request.unit] = max(now, sent + within_s) + silence_s
 
     async def _wait_for_silence(self, unit: int, *, urgent: bool) -> None:
         """Wait until the line was silent for the gap and no late reply is expected. Raises BadReply

@@ -35,11 +35,9 @@ from motord_hal.modbus.guard import (
     StrictFramer,
     keeping_cancellation,
 )
-from motord_hal.modbus.timing import line_gap_s
+from motord_hal.modbus.timing import LATE_NETWORK_S, line_gap_s
 
 CONNECT_WITHIN_S = 2.0
-NETWORK_ALLOWANCE_S = 0.05
-"""Time added to every reply deadline, for both directions and the gateway's own work."""
 DELIVERED_WITHIN_S = 0.5
 """Time limit for a gateway's acknowledgement; many send it only after 0.2 s."""
 LOOK_EVERY_S = 0.002
@@ -111,6 +109,7 @@ class GatewayClient(GuardedClient):
 
     def __init__(self, spec: LineSpec) -> None:
         super().__init__(spec.port, spec.baudrate, spec.parity, spec.stop_bits, line_gap_s(spec))
+        self.kind = spec.kind
         self._raw = spec.kind == "rtu-over-tcp"
         self._echo = spec.echo
         self._framer = StrictFramer(spec.echo) if self._raw else StrictTcpFramer()
@@ -119,7 +118,7 @@ class GatewayClient(GuardedClient):
     def reply_deadline_s(self, request: Request, turnaround_s: float) -> float:
         """Return `GuardedClient`'s deadline plus the network's part."""
         base_s = super().reply_deadline_s(request, turnaround_s)
-        return base_s + 2 * self.gap_s + NETWORK_ALLOWANCE_S
+        return base_s + 2 * self.gap_s + LATE_NETWORK_S
 
     async def open(self) -> None:
         """Connect. Raises PortError."""
@@ -147,22 +146,15 @@ class GatewayClient(GuardedClient):
                 raise PortError(f"{self.port} did not accept in {CONNECT_WITHIN_S:g} s") from None
             if not connected:
                 raise PortError(
-                    f"{self.port} cannot be reached: no such host, or no server listens"
+                    f"{self.port} cannot be reached: no such host, no server listens, or it ends "
+                    "the connection at once"
                 )
+            _set_options(client.ctx.transport, self.port)
             undo.pop_all()
         self._client, self._framer = client, framer
         self._silent_since_s = math.inf
         self._last_byte_s = now_s()
         self._unit_silent_until_s.clear()
-        self._set_options()
-
-    def _set_options(self) -> None:
-        """Make the socket send at once, and drop undelivered data when it closes (linger 0: a
-        reset)."""
-        link = self._socket()
-        if link is not None:
-            link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
 
     def _transport(self) -> asyncio.WriteTransport | None:
         transport = self._client.ctx.transport if self._client else None
@@ -236,3 +228,17 @@ class GatewayClient(GuardedClient):
             if error.code in _GATEWAY_EXCEPTIONS:
                 raise NoReply(str(error)) from error
             raise
+
+
+def _set_options(transport: asyncio.BaseTransport | None, port: str) -> None:
+    """Make the socket send at once, and drop undelivered data when it closes (linger 0: a reset).
+    Raises PortError: a gateway may reset a connection that it has just accepted, and asyncio then
+    has closed the socket already."""
+    link = None if transport is None else transport.get_extra_info("socket")
+    if link is None:
+        raise PortError(f"{port} ended the connection at once")
+    try:
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    except OSError as error:
+        raise PortError(f"{port} ended the connection at once") from error

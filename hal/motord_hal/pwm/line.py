@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 from motord_hal.base.clock import now_s, within
 from motord_hal.base.errors import DriveFault, HalError, NoReply, PortError
+from motord_hal.base.tasks import TaskGroup
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.encoder.board import CountingBoard
 from motord_hal.fieldbus.line import (
@@ -111,7 +112,7 @@ class PwmLine(LineTask):
     # ------------------------------------------------------------------------------------ the task
     async def run(self) -> None:
         """Implement `ports.Line.run`."""
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             for board in self._boards:
                 tasks.create_task(board.run())
             await super().run()

@@ -25,6 +25,7 @@ from motord_hal.realtime.thread import (
 )
 
 DRIVES_MAX: int = lib.CAN_DRIVES_MAX
+SENDINGS_MAX: int = lib.CAN_SENDINGS_MAX
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 """Flag bits in the identifier of a frame (linux/can.h)."""
 
@@ -47,6 +48,10 @@ class CanReport(AnyLineReport):
     tx_full: int
     bad_frames: int
     dropped: int
+    foreign: int
+    """Frames of another node with an identifier that motord sends."""
+    foreign_sending: int
+    """Number of the newest such identifier among the table's `sending`."""
     cycle_ns: int
     drives: tuple[CanDriveReport, ...]
 

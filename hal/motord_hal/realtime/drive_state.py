@@ -134,6 +134,12 @@ class DriveRules:
         self._view.fresh, self._view.enabled_count = fresh, enabled_count
         return Stop(lib.drive_obey(self._state, self._request, self._view).stop)
 
+    def forget(self) -> None:
+        """Make the drive OFF, in any mode: its medium is lost, and nothing is known of it."""
+        lib.drive_take_back(self._state, 0, Mode.OFF)
+        lib.drive_power_off(self._state)
+        self._state.back = self._state.off_due = False
+
     def may_move(self, *, fresh: bool, enabled: bool) -> bool:
         """Whether the drive may get set-points that are not zero."""
         return bool(lib.drive_may_move(self._state, fresh, enabled))
@@ -145,9 +151,9 @@ class DriveRules:
     def unresponsive(self) -> None:
         lib.drive_unresponsive(self._state)
 
-    def answers(self) -> Stop:
-        """Note that an unresponsive drive answers again."""
-        return Stop(lib.drive_answers(self._state))
+    def answers(self, *, braking: bool) -> Stop:
+        """Note that an unresponsive drive answers again. `braking`: its probes still brake it."""
+        return Stop(lib.drive_answers(self._state, braking))
 
     def lost_setup(self) -> Stop:
         return Stop(lib.drive_lost_setup(self._state))

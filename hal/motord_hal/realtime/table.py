@@ -157,6 +157,7 @@ class LineTable:
     echo: int
     character_ns: float
     gap_ns: int
+    late_ns: int
     setpoint_timeout_ns: int
     rest_velocity_rad_s: float
     broadcast_stop: tuple[LineFrame, ...]

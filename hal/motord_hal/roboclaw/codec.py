@@ -18,6 +18,8 @@ from types import MappingProxyType
 from motord_hal.mcu.frames import crc16
 from motord_hal.modbus.codec import Function, Request
 
+UNITS = range(0x80, 0x88)
+"""Addresses that a RoboClaw can have."""
 ACKNOWLEDGED = b"\xff"
 CRC_BYTES = 2
 DUTIES, SPEEDS = 34, 37

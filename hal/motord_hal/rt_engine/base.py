@@ -15,7 +15,8 @@ from collections.abc import Coroutine, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
 from motord_hal.base.clock import within
-from motord_hal.base.errors import HalError, PortError
+from motord_hal.base.errors import HalError, PortError, first_of
+from motord_hal.base.tasks import TaskGroup
 from motord_hal.fieldbus.line import DriveLine
 from motord_hal.fieldbus.parameter import write_steps
 from motord_hal.fieldbus.ports import LineSpec, Listener
@@ -106,7 +107,7 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
     async def _work(self) -> None:
         """Set up and watch the drives while the thread runs; then raise PortError with the reason
         for its end."""
-        async with asyncio.TaskGroup() as group:
+        async with TaskGroup() as group:
             tasks = [
                 group.create_task(task())
                 for drive in self._drives
@@ -177,14 +178,11 @@ class RtLineBase(DriveLine[AnyDrive], Generic[Report, AnyDrive]):
 async def all_of(work: list[Coroutine[Any, Any, None]]) -> None:
     """Run all coroutines at the same time. The first HalError ends the others and is raised."""
     try:
-        async with asyncio.TaskGroup() as group:
+        async with TaskGroup() as group:
             for one in work:
                 group.create_task(one)
     except* HalError as errors:
-        first: BaseException = errors
-        while isinstance(first, BaseExceptionGroup):
-            first = first.exceptions[0]
-        failed = first
+        failed = first_of(errors)
     else:
         return
     raise failed

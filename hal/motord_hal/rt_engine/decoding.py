@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
-from motord_hal.drives.profile import Channel, DriveProfile, Register
+from motord_hal.drives.profile import Channel, DriveProfile
 from motord_hal.fieldbus.ports import JointSpec
+from motord_hal.fieldbus.positions import raw_offset, raw_per_rad, raw_per_s
 from motord_hal.realtime.table import FieldKind, SetpointKind
 
 
@@ -25,6 +25,13 @@ def sources_of(profile: DriveProfile, channel: Channel) -> Iterator[tuple[FieldK
     return ((kind, name) for kind, name in sources.items() if name is not None)
 
 
+def wheel_factor(joint: JointSpec, kind: FieldKind) -> float:
+    """Return the factor from a value of the motor in SI to that of the joint."""
+    if kind is FieldKind.VELOCITY:
+        return joint.velocity_factor
+    return joint.current_factor if kind is FieldKind.CURRENT else 1.0
+
+
 def setpoint_kind(channel: Channel) -> SetpointKind:
     """Return the kind of set-point that the channel takes."""
     if channel.torque_setpoint is not None:
@@ -34,50 +41,12 @@ def setpoint_kind(channel: Channel) -> SetpointKind:
     return SetpointKind.VELOCITY if channel.velocity_setpoint else SetpointKind.DUTY
 
 
-def raw_offset(joint: JointSpec, profile: DriveProfile) -> float:
-    """Return the raw set-point for the angle 0; 0 for set-points that are not positions."""
-    channel = profile.channels[joint.channel]
-    if channel.position_setpoint is None:
-        return 0.0
-    register, bits = profile.registers[channel.position_setpoint], profile.counter_bits
-    count = joint.zero_count % (1 << bits)
-    if register.type.signed and register.type.bits == bits and count >> (bits - 1):
-        count -= 1 << bits  # the drive's number for that position has a sign
-    return count * _unit_per_count(joint, profile, register) / register.scale
-
-
-def raw_per_rad(joint: JointSpec, profile: DriveProfile) -> float:
-    """Return the raw set-point for one radian of a joint that takes positions, as the core
-    converts it."""
-    register = profile.registers[profile.channels[joint.channel].setpoint]
-    counts = (joint.counts_per_turn or profile.counts_per_turn) * joint.gear_ratio
-    sign = -1.0 if joint.inverted else 1.0
-    per_count = _unit_per_count(joint, profile, register) / register.scale
-    return sign * counts / (2.0 * math.pi) * per_count
-
-
-def raw_per_s(joint: JointSpec, profile: DriveProfile) -> float:
-    """Return the highest speed of the target of a joint that takes positions, in raw steps a
-    second; 0 for other joints."""
-    if profile.channels[joint.channel].position_setpoint is None:
-        return 0.0
-    return abs(raw_per_rad(joint, profile)) * joint.position_velocity_rad_s
-
-
-def _unit_per_count(joint: JointSpec, profile: DriveProfile, register: Register) -> float:
-    """Return the register's unit for one count: 1 for a register in counts, else 1 / counts per
-    turn, because the register is in turns."""
-    counts = joint.counts_per_turn or profile.counts_per_turn
-    return 1.0 if register.unit == "count" else 1.0 / counts
-
-
 def setpoint_scale(
     joint: JointSpec, channel: Channel, si_per_raw: float, limits: tuple[float, float]
 ) -> dict[str, Any]:
     """Return the struct setpoint_scale (csrc/api/line/api_line.h) of a joint. `limits`: least and
     greatest raw value."""
-    sign = -1.0 if joint.inverted else 1.0
-    factor = sign * channel.to_motor(joint.gear_ratio) / si_per_raw
+    factor = joint.sign * channel.to_motor(joint.gear_ratio) / si_per_raw
     takes_position = channel.position_setpoint is not None
     return {
         "joint": joint.index,

@@ -50,7 +50,7 @@ class LoopPort(Serial):
             )
             # it configures the port again: a driver may then refuse what it took before
             self.transport = SerialTransport(asyncio.get_running_loop(), protocol, self)
-        except SerialException as error:
+        except OSError as error:  # also of pyserial, for a port that went away meanwhile
             self.close()
             why = "it is no serial port"
             if error.errno:  # the type that an errno has in Python

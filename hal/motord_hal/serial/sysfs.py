@@ -54,6 +54,16 @@ def device_file(port: str) -> str:
     raise PortError(f"{port}: no such USB adapter is plugged in; there: {there or 'none'}")
 
 
+def port_identity(port: str) -> str:
+    """Return one name for all names that a port has on this machine now: links, and usb:SERIAL. An
+    absent adapter, and what is no device file, keeps its name."""
+    try:
+        path = device_file(port)
+    except PortError:
+        return port
+    return os.path.realpath(path) if path.startswith("/") else path
+
+
 def holders(path: str, proc: Path = _PROC) -> tuple[str, ...]:
     """Return the other programs that have the file open, as "program (pid N)", as far as
     permissions allow."""

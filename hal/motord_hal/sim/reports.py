@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping
 
 from motord_hal.drives.profile import DriveProfile, Step
-from motord_hal.sim.axis import Motor
+from motord_hal.sim.axis import Axis, Motor
 from motord_hal.sim.rs485.registers import Registers, raw_of
 
 SUPPLY_V = 24.0
@@ -51,7 +51,11 @@ class Reports:
     def _bind_motor(self, motor: Motor) -> None:
         axis, channel = motor.axis, motor.channel
         self._bind(channel.velocity, lambda: motor.shown_rad_s)
-        self._bind(channel.current, lambda: axis.wheel.current_a * axis.sign)
+        by_torque = channel.current_sign == "torque"
+        self._bind(
+            channel.current,
+            lambda: axis.wheel.current_a * (axis.sign if by_torque else self._drawn(axis)),
+        )
         self._bind(channel.temperature, lambda: axis.wheel.winding_c)
         if channel.position is not None:
             name = channel.position
@@ -59,6 +63,11 @@ class Reports:
                 self._bind(name, lambda: self._turned_rad(motor.count or 0))
                 return
             self._registers.make_live(name, lambda: self._signed(name, motor.count or 0))
+
+    @staticmethod
+    def _drawn(axis: Axis) -> float:
+        """Return the sign of the power of a current that turns the wheel forward."""
+        return math.copysign(1.0, axis.wheel.velocity_rad_s)
 
     def _turned_rad(self, count: int) -> float:
         """Return the counter as an angle, for a drive that reports its position in turns."""
@@ -84,7 +93,7 @@ class Reports:
         """Return the registers that show whether a sequence is complete."""
         steps = (step for steps, _ in self._ends() for step in steps)
         watched: set[str | None] = {step.register for step in steps if step.value is None}
-        places = (self._profile.enabled, self._profile.homed)
+        places = (self._profile.enabled, self._profile.power_off, self._profile.homed)
         return watched | {place.register for place in places if place is not None}
 
     def _ends(self) -> list[tuple[tuple[Step, ...], bool]]:
@@ -116,12 +125,27 @@ class Reports:
         if enabled is not None and enabled.register == name:
             all_enabled = all(self._enabled(number) for number in self._motors)
             conditions.append((enabled.mask, enabled.equals, all_enabled))
+        if (braking := self._braking(name)) is not None:
+            conditions.append(braking)
         homed = self._profile.homed
         if homed is not None and homed.register == name:
             conditions.append((homed.mask, homed.equals, self._homed()))
         for mask, equals, true in sorted(conditions, key=lambda condition: condition[2]):
             word = _with_condition(word, mask % self._span(name), equals, true=true)
         return self._signed(name, word)
+
+    def _braking(self, name: str) -> tuple[int, int, bool] | None:
+        """Return the condition by which a drive reports that it brakes although it is not enabled:
+        its bits are those of [power_off] that do not show whether it is enabled."""
+        power_off, enabled = self._profile.power_off, self._profile.enabled
+        if power_off is None or power_off.register != name:
+            return None
+        if any(self._enabled(number) for number in self._motors):
+            return None
+        same = enabled is not None and enabled.register == name and power_off.equals == 0
+        others = power_off.mask & ~enabled.mask if enabled is not None and same else 0
+        braking = any(motor.braking for motor in self._motors.values())
+        return others or power_off.mask, power_off.equals, not braking
 
     def _faults(self, name: str) -> int:
         word = 0

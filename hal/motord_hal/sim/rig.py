@@ -19,19 +19,20 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
+from motord_hal.fieldbus.units import DriveKey, drive_key
 from motord_hal.modbus.codec import character_bits
-from motord_hal.modbus.timing import line_gap_s
+from motord_hal.modbus.timing import TCP_KINDS, line_gap_s
 from motord_hal.servo.packets import KINDS as SERVO_KINDS
 from motord_hal.sim.axis import Axis
 from motord_hal.sim.boards.frame_talk import FrameTalk
 from motord_hal.sim.boards.line import SimulatedBoard, Talk
 from motord_hal.sim.boards.packet_talk import HoverboardTalk, SabertoothTalk
 from motord_hal.sim.boards.text_talk import TextTalk
-from motord_hal.sim.can.cia402 import Cia402Drive, speaks_cia402
 from motord_hal.sim.fault_kinds import FaultError
 from motord_hal.sim.faults import Fault, FaultScript
 from motord_hal.sim.ground import Module
 from motord_hal.sim.gyro import SimulatedGyro
+from motord_hal.sim.new_drive import new_drive
 from motord_hal.sim.pins.bridge import SimulatedBridge
 from motord_hal.sim.pins.folder import PinFolder
 from motord_hal.sim.pins.line import SimulatedPins, channels_of
@@ -40,7 +41,6 @@ from motord_hal.sim.rs485.drive import SimulatedDrive
 from motord_hal.sim.rs485.gateway import GatewayPort
 from motord_hal.sim.rs485.line import SimulatedLine
 from motord_hal.sim.rs485.port import Port, PtyPort
-from motord_hal.sim.rs485.servo import SimulatedServo
 from motord_hal.sim.rs485.servo_line import SimulatedServoLine
 from motord_hal.sim.rs485.tcp import RawTcpPort
 from motord_hal.sim.rs485.wire import Clock
@@ -50,8 +50,6 @@ if TYPE_CHECKING:
     from motord_hal.sim.can.line import SimulatedCanLine
 
 AnySimulatedLine: TypeAlias = "SimulatedLine | SimulatedBoard | SimulatedPins | SimulatedCanLine"
-TCP_KINDS = ("modbus-tcp", "rtu-over-tcp")
-"""Kinds of lines behind a gateway."""
 PUNCTUAL_KINDS = ("can", "pwm")
 """Kinds of lines whose values must be those of the time at which they are read."""
 OTHER_THAN_CAN = SimulatedLine | SimulatedBoard | SimulatedPins
@@ -171,11 +169,11 @@ class Rig:
     def _make_plant(self) -> Plant:
         wheels = {}
         for line in self.spec.lines:
-            for unit, profile in self._profiles(line).items():
+            for key, profile in self._profiles(line).items():
                 for number in profile.channels:
-                    wheels[_free_name(line, unit, number)] = Wheel(WheelModel())
+                    wheels[_free_name(line, key, number)] = Wheel(WheelModel())
             for joint in line.joints:
-                del wheels[_free_name(line, joint.unit, joint.channel)]
+                del wheels[_free_name(line, drive_key(joint), joint.channel)]
                 wheels[joint.name] = Wheel(self.spec.wheels[joint.name].model)
         contacts = {
             name: Contact(side=wheel.side, wheel_radius_m=wheel.wheel_radius_m, row=wheel.row)
@@ -191,23 +189,27 @@ class Rig:
             seed=self.spec.seed,
         )
 
-    def _profiles(self, line: LineSpec) -> dict[int, DriveProfile]:
-        """Return profiles by unit: the robot's, and those of the spare units."""
-        spare = dict.fromkeys(range(1, self.spec.units + 1), line.joints[0].profile)
-        return spare | {joint.unit: joint.profile for joint in line.joints}
+    def _profiles(self, line: LineSpec) -> dict[DriveKey, DriveProfile]:
+        """Return the profile of each drive: the robot's, and those of the spare units."""
+        own = {drive_key(joint): joint.profile for joint in line.joints}
+        taken = {unit for unit, _ in own}
+        _, path = drive_key(line.joints[0])
+        spare = [(unit, path) for unit in range(1, self.spec.units + 1) if unit not in taken]
+        return dict.fromkeys(spare, line.joints[0].profile) | own
 
     def _make_line(self, line: LineSpec, link_dir: Path) -> AnySimulatedLine:
-        drives = {}
-        for unit, profile in self._profiles(line).items():
+        by_key = {}
+        for key, profile in self._profiles(line).items():
             axes = {
                 number: Axis(wheel=self.plant.wheels[name])
                 for number in profile.channels
-                if (name := _free_name(line, unit, number)) in self.plant.wheels
+                if (name := _free_name(line, key, number)) in self.plant.wheels
             }
-            axes |= {j.channel: self._axis(j) for j in line.joints if j.unit == unit}
-            drives[unit] = new_drive(profile, unit, axes, watchdog_s=self._watchdog_s(profile))
+            axes |= {j.channel: self._axis(j) for j in line.joints if drive_key(j) == key}
+            by_key[key] = new_drive(profile, key[0], axes, watchdog_s=self._watchdog_s(profile))
         if line.kind == "can":
-            return self._make_can_line(line, drives, link_dir)
+            return self._make_can_line(line, by_key, link_dir)
+        drives = {drive.unit: drive for drive in by_key.values()}
         if line.kind == "pwm":
             return self._make_pins(line, drives, link_dir)
         port = self._make_port(line, link_dir)
@@ -246,7 +248,7 @@ class Rig:
         return SimulatedGyro(self.plant, line.imu, self.spec.seed, scale=scale)
 
     def _make_can_line(
-        self, line: LineSpec, drives: Mapping[int, SimulatedDrive], link_dir: Path
+        self, line: LineSpec, drives: Mapping[DriveKey, SimulatedDrive], link_dir: Path
     ) -> SimulatedCanLine:
         # python-can is needed only for a robot with a CAN bus
         from motord_hal.sim.can.line import SimulatedCanLine
@@ -440,7 +442,7 @@ class Rig:
                     "position_rad": plant.wheels[joint.name].position_rad,
                     "velocity_rad_s": plant.wheels[joint.name].velocity_rad_s,
                     "current_a": plant.wheels[joint.name].current_a,
-                    "enabled": line.drives[joint.unit].enabled(joint.channel),
+                    "enabled": _drive_of(line, joint).enabled(joint.channel),
                 }
                 for line in self.lines.values()
                 for joint in line.spec.joints
@@ -462,10 +464,10 @@ class Rig:
 
     def journal(self, line: str, unit: int, since: int) -> list[dict[str, Any]]:
         """Return the real answers of a unit from entry `since` on. Only a tagged rig keeps them."""
-        drives = self._line(line).drives
-        if unit not in drives:
+        drives = [one for one in self._line(line).drives.values() if one.unit == unit]
+        if not drives:
             raise ValueError(f"no unit {unit} on {line}")
-        return drives[unit].journal.since(since, self.began_ns, JOURNAL_REPLY_ENTRIES)
+        return drives[0].journal.since(since, self.began_ns, JOURNAL_REPLY_ENTRIES)
 
     def _methods(self) -> dict[str, Callable[[Mapping[str, Any]], Any]]:
         return {
@@ -482,16 +484,13 @@ class Rig:
         }
 
 
-def new_drive(
-    profile: DriveProfile, unit: int, axes: Mapping[int, Axis], *, watchdog_s: float
-) -> SimulatedDrive:
-    """Return a new drive of this profile."""
-    kind = Cia402Drive if speaks_cia402(profile) else SimulatedDrive
-    kind = SimulatedBridge if profile.bridge is not None else kind
-    kind = SimulatedServo if profile.protocol in SERVO_KINDS else kind
-    return kind(profile, unit, axes, watchdog_s=watchdog_s)
+def _drive_of(line: AnySimulatedLine, joint: JointSpec) -> SimulatedDrive:
+    if isinstance(line, OTHER_THAN_CAN):
+        return line.drives[joint.unit]
+    return line.drives[drive_key(joint)]
 
 
-def _free_name(line: LineSpec, unit: int, channel: int) -> str:
+def _free_name(line: LineSpec, key: DriveKey, channel: int) -> str:
     """Return the name of the wheel of a motor that no joint uses: it turns in the air."""
-    return f"{line.name} unit {unit} channel {channel}"
+    unit, profile = key
+    return f"{line.name} unit {unit} {profile or ''} channel {channel}"

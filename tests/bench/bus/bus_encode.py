@@ -19,8 +19,9 @@ from motord.api.snapshot import ImuSnapshot, JointSnapshot, Snapshot
 from motord.bus.messages import json_form
 from motord.bus.messages.forms import as_cdr, as_json, as_message
 from motord.bus.messages.sources import Body
-from motord.bus.messages.topics import TOPICS, View, wall_offset_ns
+from motord.bus.messages.topics import TOPICS, View
 
+OFFSET_NS = 1_790_000_000_000_000_000
 BODY = Body(robot="bench", joints=("left", "right"))
 CALLS = 2000
 
@@ -56,13 +57,15 @@ def moving() -> View:
         twist_covariance=(1e-4 / 3, 1e-5 / 3, 1e-4 / 7), joints=(joint(12.3456), joint(-3.21)),
         imu=imu(), wanted_lateral_m_s=0.0, setpoint_lateral_m_s=0.0, lateral_m_s=0.0, slip_m_s=1e-4,
         lateral_covariance=(0.0, 0.0, 0.0), position_setpoints_rad=(math.nan,) * 8,
-        misaligned_rad=0.0, position_joints=0, position_unknown=0,
+        misaligned_rad=0.0, position_joints=0, position_unknown=0, rest="turning",
+        rest_unknown_since_ns=(0,) * 8, rest_unmeasured=0,
+        counter_coarse=0, counter_distrusted=0,
     )  # fmt: skip
     late = dict.fromkeys(("p50", "p99", "p99_9", "max"), 12.5)
     loop = {"rate_hz": 1000.0, "policy": "SCHED_FIFO", "ticks": 1, "overruns": 0, "page_faults": 0,
             "lateness_us": late, "step_ns": late}  # fmt: skip
     battery = {"state": "normal", "voltage_v": 24.31, "current_a": -1.27, "temperature_c": None,
-               "age_s": 0.4, "cells": 7, "capacity_ah": 10.0}  # fmt: skip
+               "stamp_ns": 1, "age_s": 0.4, "cells": 7, "capacity_ah": 10.0}  # fmt: skip
     leases = ({"number": 1, "owner": "fleet", "priority": 70, "why": "in command: the only one"},)
     status = {"loop": loop, "leases": leases, "battery": battery}
     return View(snapshot=snapshot, status=status, status_ns=1)
@@ -73,7 +76,7 @@ def cyclone(topic: str) -> Callable[[], Any]:
     from motord.bus.messages.table import TYPES
     from motord.bus.ros2.dds.cyclone_types import cyclone_type
 
-    view, offset_ns = moving(), wall_offset_ns()
+    view, offset_ns = moving(), OFFSET_NS
 
     def made(name: str, value: Any) -> Any:
         fields = {}
@@ -94,7 +97,7 @@ def cyclone(topic: str) -> Callable[[], Any]:
 
 
 def forms_of(topic: str) -> dict[str, Callable[[], Any]]:
-    view, offset_ns, chosen = moving(), wall_offset_ns(), TOPICS[topic]
+    view, offset_ns, chosen = moving(), OFFSET_NS, TOPICS[topic]
     cdr, text = as_cdr(chosen, BODY), as_json(chosen, BODY)
     build = as_message(chosen, BODY)
     return {

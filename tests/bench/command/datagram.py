@@ -45,6 +45,7 @@ linear_m_s2 = 100.0
 command_timeout_s = 2.0
 feedback_timeout_s = 2.0
 heartbeat_timeout_s = 5.0
+timeout_travel_max_m = 1000.0
 
 [safety.feedback]  # the slave is not a wheel: its position does not change
 direction_s = 0.0

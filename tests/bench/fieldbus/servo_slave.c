@@ -206,6 +206,11 @@ int main(int argc, char **argv)
     }
     dynamixel = argv[1][0] == 'd';
     character_ns = (int64_t)(10e9 / atof(argv[2]));
+    const int model = dynamixel ? 1060 : 777; /* XL430-W250 at address 0, STS3215 at address 3 */
+    for (int unit = 0; unit < 256; unit++) {
+        table[unit][dynamixel ? 0 : 3] = (uint8_t)(model & 0xFF);
+        table[unit][dynamixel ? 1 : 4] = (uint8_t)(model >> 8);
+    }
     struct sched_param param = {.sched_priority = argc > 3 ? atoi(argv[3]) : 0};
     prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);
     if (param.sched_priority > 0 && sched_setscheduler(0, SCHED_FIFO, &param) != 0) {

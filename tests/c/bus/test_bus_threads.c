@@ -27,7 +27,7 @@ static void *commands(void *direct)
         .magic = COMMAND_MAGIC, .version = COMMAND_VERSION, .kind = COMMAND_TWIST};
     for (int n = 0; n < COMMANDS;) {
         int error = direct != NULL
-                        ? outlet_send_direct(&shared, &(stamped_twist){.linear_m_s = 1.0}, 1, 1)
+                        ? outlet_send_direct(&shared, &(stamped_twist){.linear_m_s = 1.0}, 1, 1, 1)
                         : outlet_send(&shared, &own, sizeof own, -1);
         CHECK(error == 0 || error == -EAGAIN || error == -ENOTCONN);
         n += error == 0;

@@ -133,14 +133,14 @@ static void a_lease_numbers_all_commands_sent_under_it(void)
           socketpair(AF_UNIX, SOCK_DGRAM, 0, second) == 0);
     memset(&o, 0x55, sizeof o);
     outlet_init(&o);
-    CHECK(outlet_send_direct(&o, &twist, 7, 1) == -ENOTCONN &&
+    CHECK(outlet_send_direct(&o, &twist, 1, 7, 1) == -ENOTCONN &&
           outlet_send(&o, &own, sizeof own, -1) == -ENOTCONN);
     CHECK(outlet_direct(&o) == 0 && outlet_let_go(&o) == 0);
     outlet_hold(&o, first[0], a, 41);
-    CHECK(outlet_send_direct(&o, &twist, 7, 1) == 0 && outlet_direct(&o) == 1);
+    CHECK(outlet_send_direct(&o, &twist, 1, 7, 1) == 0 && outlet_direct(&o) == 1);
     command_datagram came = received(first[1]);
     CHECK(came.magic == COMMAND_MAGIC && came.version == COMMAND_VERSION &&
-          came.kind == COMMAND_TWIST);
+          came.kind == (COMMAND_TWIST | OUTLET_SENDERS_FROM << SENDER_SHIFT));
     CHECK(came.sequence == 42 && came.stamp_ns == 7 && came.lifetime_ms == 0 &&
           memcmp(came.token, a, sizeof a) == 0);
     CHECK(came.linear_m_s == 0.5 && came.angular_rad_s == -0.25);
@@ -148,11 +148,11 @@ static void a_lease_numbers_all_commands_sent_under_it(void)
     came = received(first[1]);
     CHECK(came.sequence == 43 && came.kind == COMMAND_RELEASE && came.stamp_ns == 5);
     outlet_hold(&o, second[0], b, 0); /* the daemon has returned */
-    CHECK(outlet_send_direct(&o, &twist, 8, 1) == 0);
+    CHECK(outlet_send_direct(&o, &twist, 1, 8, 1) == 0);
     came = received(second[1]);
     CHECK(came.sequence == 1 && memcmp(came.token, b, sizeof b) == 0);
     CHECK(outlet_let_go(&o) == 1);
-    CHECK(outlet_send_direct(&o, &twist, 9, 1) == -ENOTCONN && outlet_direct(&o) == 2);
+    CHECK(outlet_send_direct(&o, &twist, 1, 9, 1) == -ENOTCONN && outlet_direct(&o) == 2);
     CHECK(outlet_send(&o, &own, 63, -1) == -EINVAL);
     for (int i = 0; i < 2; i++) {
         (void)close(first[i]);
@@ -172,7 +172,7 @@ static void a_sender_that_has_not_seen_the_newest_command_does_not_override_it(v
     outlet_init(&o);
     outlet_hold(&o, pair[0], token, 0);
     CHECK(outlet_send(&o, &wheels, sizeof wheels, 0) == 0);
-    CHECK(outlet_send_direct(&o, &rest, 1, 1) == 0);
+    CHECK(outlet_send_direct(&o, &rest, 1, 1, 1) == 0);
     CHECK(outlet_send(&o, &wheels, sizeof wheels, 0) == -ESTALE);
     CHECK(outlet_send(&o, &wheels, sizeof wheels, 1) == 0);
     CHECK(outlet_let_go(&o) == 3);
@@ -190,15 +190,52 @@ static void nothing_is_handed_on_while_python_stands_still(void)
     CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, pair) == 0);
     outlet_init(&o);
     outlet_hold(&o, pair[0], token, 0);
-    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns) == -EHOSTDOWN); /* not yet reported alive */
+    CHECK(outlet_send_direct(&o, &twist, 1, 1, begin_ns) == -EHOSTDOWN); /* not yet reported alive
+                                                                          */
     outlet_alive(&o, begin_ns);
-    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS) == 0 &&
+    CHECK(outlet_send_direct(&o, &twist, 1, 1, begin_ns + OUTLET_ALIVE_NS) == 0 &&
           received(pair[1]).sequence == 1);
-    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS + 1) == -EHOSTDOWN &&
+    CHECK(outlet_send_direct(&o, &twist, 1, 1, begin_ns + OUTLET_ALIVE_NS + 1) == -EHOSTDOWN &&
           outlet_direct(&o) == 1);
     outlet_alive(&o, begin_ns + OUTLET_ALIVE_NS + 1);
-    CHECK(outlet_send_direct(&o, &twist, 1, begin_ns + OUTLET_ALIVE_NS + 1) == 0 &&
+    CHECK(outlet_send_direct(&o, &twist, 1, 1, begin_ns + OUTLET_ALIVE_NS + 1) == 0 &&
           received(pair[1]).sequence == 2);
+    (void)close(pair[0]);
+    (void)close(pair[1]);
+}
+
+static void each_writer_has_a_number_as_long_as_it_commands(void)
+{
+    outlet o;
+    int pair[2];
+    const uint8_t token[LEASE_TOKEN_BYTES] = {1};
+    const stamped_twist rest = {0};
+    CHECK(socketpair(AF_UNIX, SOCK_DGRAM, 0, pair) == 0);
+    outlet_init(&o);
+    outlet_hold(&o, pair[0], token, 0);
+    static const struct {
+        uint64_t writer;
+        int64_t now_ns;
+        int sender;
+    } SENT[] = {
+        {100, 1, OUTLET_SENDERS_FROM},     {101, 2, OUTLET_SENDERS_FROM + 1},
+        {100, 3, OUTLET_SENDERS_FROM},     {102, 4, OUTLET_SENDERS_FROM + 2},
+        {101, 5, OUTLET_SENDERS_FROM + 1},
+    };
+    outlet_alive(&o, 1);
+    for (size_t i = 0; i < sizeof SENT / sizeof SENT[0]; i++) {
+        CHECK(outlet_send_direct(&o, &rest, SENT[i].writer, 1, SENT[i].now_ns) == 0);
+        CHECK(received(pair[1]).kind >> SENDER_SHIFT == SENT[i].sender);
+    }
+    for (uint64_t writer = 103; writer < 100 + OUTLET_SENDERS; writer++) {
+        CHECK(outlet_send_direct(&o, &rest, writer, 1, 6) == 0);
+        CHECK(received(pair[1]).kind >> SENDER_SHIFT == (int)(OUTLET_SENDERS_FROM + writer - 100));
+    }
+    outlet_alive(&o, 3 + OUTLET_KEPT_NS);
+    CHECK(outlet_send_direct(&o, &rest, 200, 1, 2 + OUTLET_KEPT_NS) == 0);
+    CHECK(received(pair[1]).kind >> SENDER_SHIFT == SENDER_UNNAMED);
+    CHECK(outlet_send_direct(&o, &rest, 200, 1, 3 + OUTLET_KEPT_NS) == 0);
+    CHECK(received(pair[1]).kind >> SENDER_SHIFT == OUTLET_SENDERS_FROM);
     (void)close(pair[0]);
     (void)close(pair[1]);
 }
@@ -213,11 +250,11 @@ static void a_full_socket_is_reported(void)
     outlet_init(&o);
     outlet_hold(&o, pair[0], token, 0);
     for (; error == 0; sent++) {
-        error = outlet_send_direct(&o, &rest, 1, 1);
+        error = outlet_send_direct(&o, &rest, 1, 1, 1);
     }
     CHECK(error == -EAGAIN && outlet_direct(&o) == (uint64_t)sent - 1);
     (void)close(pair[1]);
-    CHECK(outlet_send_direct(&o, &rest, 1, 1) < 0);
+    CHECK(outlet_send_direct(&o, &rest, 1, 1, 1) < 0);
     (void)close(pair[0]);
 }
 
@@ -230,6 +267,7 @@ int main(void)
     a_lease_numbers_all_commands_sent_under_it();
     a_sender_that_has_not_seen_the_newest_command_does_not_override_it();
     nothing_is_handed_on_while_python_stands_still();
+    each_writer_has_a_number_as_long_as_it_commands();
     a_full_socket_is_reported();
     return checks_report("bus_twist");
 }

@@ -144,7 +144,7 @@ static void asyncio_side(uint8_t choice)
     } else if (what < 82) {
         w.machine.receives_own = !w.machine.receives_own;
     } else if (what < 84) {
-        can_machine_left(&w.machine);
+        can_machine_left(&w.machine, SPEED + what % 2);
     } else if (what == 84) {
         w.machine.control.shut_down = 1;
     }

@@ -345,7 +345,7 @@ static void a_bus_that_took_nothing_since_motion_left_it_is_given_zero_first(voi
     arm(0);
     go_on(11 * MS);
     CHECK(speed_in(newest_of(0)) == 100);
-    can_machine_left(&w.machine); /* all frames have left the kernel's queue */
+    can_machine_left(&w.machine, SPEED); /* all frames have left the kernel's queue */
     w.full = true;
     go_on(35 * MS);
     CHECK(w.machine.clogged && w.machine.motion_since_ns == 0);

@@ -126,7 +126,7 @@ static void motion_that_has_not_left_the_queue_is_not_followed_by_early_motion(v
     arm(0);
     go_on(100 * MS);
     w.machine.receives_own = true;
-    can_machine_left(&w.machine);
+    can_machine_left(&w.machine, SPEED);
     w.now_ns = w.machine.cycle.due_ns;
     step(); /* the cable is unplugged: the motion frame stays in the queue */
     forget_sent();
@@ -134,7 +134,7 @@ static void motion_that_has_not_left_the_queue_is_not_followed_by_early_motion(v
     kick(2.0);
     step();
     CHECK(w.sent_count == 0);
-    can_machine_left(&w.machine);
+    can_machine_left(&w.machine, SPEED);
     kick(3.0);
     step();
     CHECK(w.sent_count == 1 && speed_in(newest_of(0)) == 300);

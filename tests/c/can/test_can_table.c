@@ -34,6 +34,22 @@ static bool refused(const char *name)
         CHECK(refused(name));                                                                      \
     } while (0)
 
+static void the_identifiers_that_motord_sends_ascend(void)
+{
+    begin_with(1);
+    w.table.sending_count = CAN_SENDINGS_MAX;
+    for (uint32_t i = 0; i < CAN_SENDINGS_MAX; i++) {
+        w.table.sending[i] = 3 * i;
+    }
+    CHECK(is_good());
+    w.table.sending[1] = 1;
+    CHECK(is_good());
+    w.table.sending[1] = 0;
+    CHECK(refused("sending"));
+    w.table.sending[1] = 6;
+    CHECK(refused("sending"));
+}
+
 #define DRIVE w.table.drive[1]
 
 static void the_bus_s_own_numbers(void)
@@ -55,6 +71,8 @@ static void the_bus_s_own_numbers(void)
     BAD(w.table.rest_velocity_rad_s, (double)INFINITY, "rest_velocity_rad_s");
     GOOD(w.table.sync_count, CAN_SYNCS_MAX);
     BAD(w.table.sync_count, CAN_SYNCS_MAX + 1, "sync_count");
+    BAD(w.table.sending_count, CAN_SENDINGS_MAX + 1, "sending_count");
+    BAD(w.table.sending_count, 2, "sending");
     for (uint32_t i = 0; i < CAN_SYNCS_MAX; i++) {
         begin_with(2);
         w.table.sync_count = CAN_SYNCS_MAX;
@@ -366,6 +384,7 @@ static void matches_of_frames_have_their_range(void)
 
 int main(void)
 {
+    the_identifiers_that_motord_sends_ascend();
     the_bus_s_own_numbers();
     a_full_table_is_checked_from_its_first_to_its_last_drive();
     the_numbers_of_a_drive();

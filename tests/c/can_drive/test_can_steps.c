@@ -31,7 +31,7 @@ static void obey(uint32_t mode, uint32_t unseen)
     CHECK(!w.machine.notify);
 }
 
-static void a_set_up_resets_all_state_but_power_that_is_still_on(void)
+static void a_set_up_resets_all_state_but_a_stop_that_goes_on(void)
 {
     for (uint32_t powered = 0; powered < 3; powered++) {
         for (uint32_t from = 0; from < 2; from++) {
@@ -47,10 +47,10 @@ static void a_set_up_resets_all_state_but_power_that_is_still_on(void)
             obey(DRIVE_READY, 0);
             CHECK(drive->state.mode == DRIVE_READY && drive->state.epoch == 5 &&
                   drive->state.fault_reasons == 0 && drive->state.still_enabled == 0);
-            CHECK(!drive->state.back && drive->may_turn == (powered != 0) &&
+            CHECK(!drive->state.back && drive->may_turn == (powered == 2) &&
                   drive->slow_cycles == 0 && drive->last_sent_ns == w.now_ns);
-            CHECK(drive->state.stopping == (powered == 2) &&
-                  drive->state.sent_motion == (powered == 1) && drive->state.enabled == 2);
+            CHECK(drive->state.stopping == (powered == 2) && !drive->state.sent_motion &&
+                  drive->state.enabled == 2);
             for (uint32_t i = 0; i < CAN_INPUTS_MAX; i++) {
                 CHECK(drive->received_ns[i] == w.now_ns);
             }
@@ -98,7 +98,7 @@ static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_dri
                 drive->state.sent_motion = has == 3;
                 drive->state.off_due = has == 4;
                 drive->state.enabled = 1;
-                drive->state.back = true;
+                drive->state.back = has != 0; /* it counts as power, too */
                 uint32_t stops = drive->stops;
                 obey(mode, unseen);
                 bool off = has != 0 && (unseen != 0 || mode == DRIVE_OFF);
@@ -113,7 +113,8 @@ static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_dri
                 if (mode == DRIVE_READY && has == 1 && !off) {
                     expected = DRIVE_ARMED; /* an armed drive is set up */
                 }
-                CHECK(drive->state.mode == expected && drive->state.back == (mode != DRIVE_OFF));
+                CHECK(drive->state.mode == expected &&
+                      drive->state.back == (has != 0 && mode != DRIVE_OFF));
                 CHECK(has != 1 || mode == DRIVE_OFF || expected == DRIVE_ARMED ||
                       drive->state.enabled == 2);
             }
@@ -192,7 +193,7 @@ static void an_armed_drive_whose_set_points_are_no_longer_enabled_loses_its_powe
 
 int main(void)
 {
-    a_set_up_resets_all_state_but_power_that_is_still_on();
+    a_set_up_resets_all_state_but_a_stop_that_goes_on();
     it_is_armed_when_nothing_prevents_it_and_its_state_is_reset();
     switching_off_and_overtaken_requests_take_the_power_of_a_powered_drive();
     an_armed_drive_is_stopped_when_set_points_grow_old();

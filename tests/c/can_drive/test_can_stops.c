@@ -148,7 +148,7 @@ static void a_bus_that_took_nothing_for_a_cycle_is_given_zero_first_and_then_the
         go_on(MS);
     }
     CHECK(moving(0) == 0 && moving(1) == 0);
-    can_machine_left(&w.machine);
+    can_machine_left(&w.machine, SPEED);
     go_on(10 * MS);
     CHECK(speed_in(newest_of(0)) == 200 && speed_in(newest_of(1)) == 200 &&
           state_of(0)->state.mode == DRIVE_ARMED);
@@ -158,11 +158,11 @@ static void a_bus_that_takes_some_frames_of_a_cycle_is_given_motion(void)
 {
     turning(2);
     w.machine.receives_own = true;
-    can_machine_left(&w.machine);
+    can_machine_left(&w.machine, SPEED);
     w.not_taken = SPEED;
     for (uint32_t i = 0; i < 20; i++) {
         go_on(5 * MS);
-        can_machine_left(&w.machine);
+        can_machine_left(&w.machine, SPEED);
     }
     CHECK(moving(1) == count_sent(SPEED + 1) && moving(1) >= 9);
 }
@@ -170,7 +170,7 @@ static void a_bus_that_takes_some_frames_of_a_cycle_is_given_motion(void)
 static void at_most_two_cycles_of_motion_wait_in_the_kernel_followed_by_zero(void)
 {
     turning(2);
-    can_machine_left(&w.machine);
+    can_machine_left(&w.machine, SPEED);
     w.machine.receives_own = true; /* no frame is reported to have left any more */
     go_on(150 * MS);
     for (uint32_t i = 0; i < 2; i++) {
@@ -178,7 +178,7 @@ static void at_most_two_cycles_of_motion_wait_in_the_kernel_followed_by_zero(voi
               state_of(i)->state.mode == DRIVE_ARMED);
     }
     CHECK(w.machine.tx_full >= 10); /* another node can see that the bus is blocked */
-    can_machine_left(&w.machine);
+    can_machine_left(&w.machine, SPEED);
     forget_sent();
     go_on(10 * MS);
     CHECK(speed_in(newest_of(0)) == 100 && speed_in(newest_of(1)) == 100);
@@ -188,10 +188,10 @@ static void motion_that_leaves_in_its_cycle_continues(void)
 {
     turning(1);
     w.machine.receives_own = true;
-    can_machine_left(&w.machine);
+    can_machine_left(&w.machine, SPEED);
     for (uint32_t i = 0; i < 50; i++) {
         go_on(9 * MS);
-        can_machine_left(&w.machine);
+        can_machine_left(&w.machine, SPEED);
         go_on(MS);
     }
     CHECK(moving(0) == count_sent(SPEED) && moving(0) >= 49);
@@ -204,11 +204,11 @@ static void motion_reported_some_milliseconds_late_continues(void)
     w.machine.table.period_ns = MS;
     w.machine.receives_own = true;
     go_on(10 * MS);
-    can_machine_left(&w.machine);
+    can_machine_left(&w.machine, SPEED);
     forget_sent();
     for (uint32_t i = 0; i < 20; i++) {
         go_on(3 * MS);
-        can_machine_left(&w.machine);
+        can_machine_left(&w.machine, SPEED);
     }
     CHECK(moving(0) == count_sent(SPEED) && moving(0) >= 50);
 }
@@ -254,6 +254,91 @@ static void a_silent_drive_left_running_is_stopped_repeatedly_after_its_time_of_
     CHECK(count_sent(SPEED) > 1 && w.sent[0].data[0] == QUICK_STOP);
 }
 
+/* ------------------------------------------------ confirmed by the drive's own report */
+static void a_drive_that_is_back_gets_its_power_off_again_until_it_reports_no_power(void)
+{
+    begin_with(1);
+    arm_and_go();
+    become_unresponsive();
+    go_on(1200 * MS); /* its probes take its power by now */
+    forget_sent();
+    w.silent = false; /* it still has power: the first power-off is lost */
+    go_on(100 * MS);
+    can_report report;
+    can_machine_report(&w.machine, &report);
+    CHECK(state_of(0)->state.mode == DRIVE_BACK && report.drive[0].stop_waits == 1);
+    uint32_t stops = state_of(0)->stops, offs = count_sent(SPEED);
+    CHECK(offs >= 5 && offs <= 12 && newest_of(0)->data[0] == DISABLE);
+    w.powered = false;
+    go_on(30 * MS);
+    can_machine_report(&w.machine, &report);
+    CHECK(report.drive[0].stop_waits == 0 && state_of(0)->stops == stops);
+    forget_sent();
+    go_on(500 * MS);
+    CHECK(w.sent_count == 0 && state_of(0)->state.mode == DRIVE_BACK);
+    w.powered = true; /* it was switched on by another: not by a lost power-off */
+    go_on(100 * MS);
+    CHECK(w.sent_count == 0);
+}
+
+static void a_drive_switched_off_by_request_gets_its_power_off_again_too(void)
+{
+    begin_with(1);
+    arm_and_go();
+    forget_sent();
+    request(0, DRIVE_OFF);
+    go_on(100 * MS);
+    CHECK(state_of(0)->state.mode == DRIVE_OFF && count_sent(SPEED) >= 5);
+    request(0, DRIVE_READY); /* set up again: from here on READY's own rule holds */
+    can_report report;
+    can_machine_report(&w.machine, &report);
+    CHECK(report.drive[0].stop_waits == 0);
+}
+
+static void a_drive_whose_report_is_polled_is_polled_until_it_confirms_its_power_off(void)
+{
+    begin_with(1);
+    table_of(0)->poll_count = 1;
+    table_of(0)->poll[0] = packet_of(CONTROL, 0);
+    restart();
+    arm_and_go();
+    become_unresponsive();
+    go_on(1200 * MS); /* its probes take its power by now */
+    w.silent = false;
+    go_on(50 * MS);
+    CHECK(state_of(0)->state.mode == DRIVE_BACK);
+    forget_sent();
+    go_on(50 * MS);
+    CHECK(count_sent(CONTROL) >= 4);
+    w.silent = true; /* no answer: its silence ends the polls */
+    go_on(400 * MS);
+    forget_sent();
+    go_on(100 * MS);
+    CHECK(count_sent(CONTROL) == 0);
+    w.silent = w.powered = false;
+    go_on(50 * MS);
+    forget_sent();
+    go_on(100 * MS);
+    CHECK(w.sent_count == 0);
+}
+
+static void a_drive_that_cannot_report_its_power_gets_it_once(void)
+{
+    begin_with(1);
+    table_of(0)->reports_enabled = 0;
+    restart();
+    arm_and_go();
+    become_unresponsive();
+    go_on(1200 * MS); /* its probes take its power by now */
+    forget_sent();
+    w.silent = false;
+    go_on(100 * MS);
+    can_report report;
+    can_machine_report(&w.machine, &report);
+    CHECK(state_of(0)->state.mode == DRIVE_BACK && count_sent(SPEED) == 1 &&
+          report.drive[0].stop_waits == 0);
+}
+
 int main(void)
 {
     drives_that_another_program_left_running_stop_before_they_lose_their_power();
@@ -270,5 +355,9 @@ int main(void)
     a_stop_that_a_newer_request_overtook_is_still_carried_out();
     an_unresponsive_drive_is_sent_its_stop_in_each_cycle_until_the_bus_takes_it();
     a_drive_that_falls_silent_after_a_lost_set_up_is_stopped();
+    a_drive_that_is_back_gets_its_power_off_again_until_it_reports_no_power();
+    a_drive_switched_off_by_request_gets_its_power_off_again_too();
+    a_drive_whose_report_is_polled_is_polled_until_it_confirms_its_power_off();
+    a_drive_that_cannot_report_its_power_gets_it_once();
     return checks_report("can stops");
 }

@@ -127,11 +127,28 @@ static void a_drive_switched_off_while_it_came_back_stays_off(void)
     w.silent = w.powered = false;
     w.full = true;
     go_on(30 * MS);
-    CHECK(state_of(0)->state.back);
+    CHECK(state_of(0)->state.mode == DRIVE_BACK);
     request(0, DRIVE_OFF);
     w.full = false;
     go_on(30 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_OFF && first_sent_ns(0, DISABLE) > 0);
+}
+
+static void a_request_of_off_does_not_end_the_stops_of_an_unresponsive_drive(void)
+{
+    begin_with(1);
+    arm_and_go();
+    become_unresponsive();
+    go_on(100 * MS);
+    forget_sent();
+    request(0, DRIVE_OFF);
+    go_on(3000 * MS);
+    CHECK(state_of(0)->state.mode == DRIVE_UNRESPONSIVE && first_sent_ns(0, QUICK_STOP) > 0 &&
+          first_sent_ns(0, DISABLE) > first_sent_ns(0, QUICK_STOP));
+    w.silent = w.powered = false;
+    forget_sent();
+    go_on(50 * MS);
+    CHECK(state_of(0)->state.mode == DRIVE_BACK && first_sent_ns(0, DISABLE) > 0);
 }
 
 static void a_newly_set_up_drive_has_the_time_of_its_silence_for_its_first_frame(void)
@@ -171,7 +188,7 @@ static void a_drive_with_a_hello_is_back_when_it_has_answered(void)
     (void)say(ANSWER, answer, 8);
     go_on(20 * MS);
     CHECK(state_of(0)->state.mode == DRIVE_BACK && state_of(0)->missing == 0 &&
-          newest_of(0)->data[0] == DISABLE);
+          speed_in(newest_of(0)) == 0);
     go_on(5050 * MS);
     CHECK(state_of(0)->missing == 3);
 }
@@ -201,6 +218,7 @@ int main(void)
     a_probe_that_the_bus_took_in_part_is_sent_again_in_the_next_cycle();
     an_unresponsive_drive_is_sent_to_stop_in_each_cycle_until_the_bus_has_taken_its_zero();
     a_drive_switched_off_while_it_came_back_stays_off();
+    a_request_of_off_does_not_end_the_stops_of_an_unresponsive_drive();
     a_newly_set_up_drive_has_the_time_of_its_silence_for_its_first_frame();
     a_drive_with_a_hello_is_back_when_it_has_answered();
     the_stop_at_the_end_waits_for_the_bus_even_when_the_drive_is_unresponsive();

@@ -335,8 +335,23 @@ static void a_count_of_two_to_the_power_of_62_is_refused_as_a_position(void)
           w.machine.joint[0].feedback.count == UINT64_C(4611685743549480960));
 }
 
+static void a_frame_came_between_the_look_that_found_nothing_and_now(void)
+{
+    const int64_t now_ns = 100 * MS, emptied_ns = 90 * MS;
+    CHECK(can_stamp_ns(3 * MS, emptied_ns, now_ns) == 97 * MS);
+    CHECK(can_stamp_ns(10 * MS - 1, emptied_ns, now_ns) == emptied_ns + 1);
+    CHECK(can_stamp_ns(1, emptied_ns, now_ns) == now_ns - 1);
+    const int64_t old_ns[] = {10 * MS, 10 * MS + 1, 150 * MS, INT64_MAX};
+    const int64_t future_ns[] = {0, -1, -20 * MS, INT64_MIN};
+    for (int i = 0; i < 4; i++) {
+        CHECK(can_stamp_ns(old_ns[i], emptied_ns, now_ns) == emptied_ns);
+        CHECK(can_stamp_ns(future_ns[i], emptied_ns, now_ns) == now_ns);
+    }
+}
+
 int main(void)
 {
+    a_frame_came_between_the_look_that_found_nothing_and_now();
     a_range_that_does_not_fit_the_place_is_refused();
     both_wheels_are_sent_in_one_frame();
     a_drive_is_at_rest_when_both_of_its_wheels_rest();

@@ -36,6 +36,17 @@ static inline gyro_config good_gyro(double timeout_s)
                          .turn_variance_rad2_per_rad = 1e-4};
 }
 
+/* A check that finds a wheel that stands still although its set-point is not zero. */
+static inline plausible_config finds_a_stall(void)
+{
+    return (plausible_config){.slow_rad_s = 0.3,
+                              .setpoint_min_rad_s = 1.0,
+                              .short_rad_s = 100.0,
+                              .beyond_rad_s = 100.0,
+                              .apart_rad_s = 100.0,
+                              .stall_s = 0.5};
+}
+
 static inline void start(rig *r, const core_config *config)
 {
     memset(r, 0, sizeof *r);

@@ -161,6 +161,8 @@ static void counters_have_the_widths_of_real_drives(void)
         bool good = bits == 64 || (bits < 64 && (widths >> bits & 1) != 0);
         CHECK(good ? is_good(&config) : refused(&config, "joint[0].counter_bits"));
     }
+    GOOD(good_config(), joint[0].counter_mantissa_bits, 53);
+    REFUSED(good_config(), joint[0].counter_mantissa_bits, 54, "joint[0].counter_mantissa_bits");
     config.joint[0].counter_bits = 0;
     config.joint[0].rad_per_count = 0.0; /* without a counter its scale does not count */
     CHECK(is_good(&config));

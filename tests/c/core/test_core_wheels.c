@@ -234,12 +234,7 @@ static void a_base_of_as_many_wheels_as_there_can_be(void)
         config.joint[j] = config.joint[j - 4];
     }
     config.joint[JOINTS_MAX - 1].speed_loop = torque_loop(1.0, 4.0, 8.0);
-    config.joint[JOINTS_MAX - 1].plausible = (plausible_config){.slow_rad_s = 0.3,
-                                                                .setpoint_min_rad_s = 1.0,
-                                                                .short_rad_s = 100.0,
-                                                                .beyond_rad_s = 100.0,
-                                                                .apart_rad_s = 100.0,
-                                                                .stall_s = 0.5};
+    config.joint[JOINTS_MAX - 1].plausible = finds_a_stall();
     rig r;
     start(&r, &config);
     go(&r, 0.4, 0.2);

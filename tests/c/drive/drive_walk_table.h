@@ -6,7 +6,7 @@
  * BACK). A quick stop lasts a second: the wheel turns. A silent drive reports no events. */
 LEADS_TO(SETPOINTS_OLD, OFF, READY, READY, READY, UNRESPONSIVE, BACK)
 LEADS_TO(SETPOINTS_NOT_ENABLED, OFF, READY, READY, READY, UNRESPONSIVE, BACK)
-LEADS_TO(REQUESTED_OFF, OFF, OFF, OFF, OFF, OFF, OFF)
+LEADS_TO(REQUESTED_OFF, OFF, OFF, OFF, OFF, UNRESPONSIVE, OFF)
 LEADS_TO(REQUESTED_READY, READY, READY, ARMED, READY, UNRESPONSIVE, READY)
 LEADS_TO(REQUESTED_ARMED, OFF, ARMED, ARMED, READY, UNRESPONSIVE, BACK)
 LEADS_TO(REQUESTED_STAND_DOWN, OFF, READY, READY, READY, UNRESPONSIVE, BACK)
@@ -19,7 +19,6 @@ LEADS_TO(LINE_ENDS, OFF, READY, READY, READY, UNRESPONSIVE, BACK)
 
 /* SENDS_POWER_OFF(event, from): holds for all media on which the event can occur. */
 SENDS_POWER_OFF(SETPOINTS_NOT_ENABLED, ARMED)
-SENDS_POWER_OFF(ANSWERS_AGAIN, UNRESPONSIVE)
 SENDS_POWER_OFF(DISABLED_ITSELF, ARMED)
 SENDS_POWER_OFF(LOST_SETUP, READY)
 SENDS_POWER_OFF(LOST_SETUP, ARMED)
@@ -54,6 +53,8 @@ CANNOT_OCCUR(ASYNCIO_CAN, LOST_SETUP, ANY,
              "the line reads nothing that shows whether it has kept its set-up")
 
 /* DIFFERS(medium, event, from, mode to which the event leads on this medium, why) */
+DIFFERS(ASYNCIO, REQUESTED_OFF, UNRESPONSIVE, OFF,
+        "the loss of its medium requests it: no probe goes out any more")
 DIFFERS(ASYNCIO, FALLS_SILENT, OFF, UNRESPONSIVE, "the line sets it up, and gets no reply")
 DIFFERS(ASYNCIO, LINE_ENDS, READY, OFF,
         "the medium is closed after the power-off: nothing is known of the drive")

@@ -5,6 +5,7 @@
 #include <linux/gpio.h>
 #include <stdarg.h>
 #include <sys/mman.h>
+#include <sys/syscall.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -33,6 +34,35 @@ int ioctl(int fd, unsigned long request, ...)
     lines = values->bits;
     line_writes++;
     return 0;
+}
+
+static _Atomic int64_t ahead_ns;
+
+/* Replaces the C library's function: the computer has been running for longer, or started just
+ * now. */
+int clock_gettime(clockid_t clock, struct timespec *out)
+{
+    long error = syscall(SYS_clock_gettime, clock, out);
+    int64_t ns = (int64_t)out->tv_sec * 1000000000 + out->tv_nsec;
+    ns += clock == CLOCK_MONOTONIC || clock == CLOCK_BOOTTIME ? ahead_ns : 0;
+    *out = (struct timespec){.tv_sec = ns / 1000000000, .tv_nsec = ns % 1000000000};
+    return (int)error;
+}
+
+/* Replaces the C library's function, by the same clock. */
+int clock_nanosleep(clockid_t clock, int flags, const struct timespec *until, struct timespec *left)
+{
+    CHECK(clock == CLOCK_MONOTONIC && flags == TIMER_ABSTIME);
+    int64_t ns = (int64_t)until->tv_sec * 1000000000 + until->tv_nsec - ahead_ns;
+    const struct timespec real = {.tv_sec = ns / 1000000000, .tv_nsec = ns % 1000000000};
+    return (int)syscall(SYS_clock_nanosleep, clock, flags, &real, left);
+}
+
+/* From here on the computer has been running for this time. */
+static void begin_at(int64_t uptime_ns)
+{
+    ahead_ns += uptime_ns - clock_now_ns();
+    exchange_init(&shared);
 }
 
 static unsigned long duty_in(int fd)
@@ -162,10 +192,13 @@ static void a_pump_does_not_change_where_no_cycle_is_due(void)
 
 int main(void)
 {
-    exchange_init(&shared);
-    a_command_and_a_stop_do_not_wait_for_the_cycle();
-    ending_the_line_does_not_wait_for_the_cycle_and_leaves_no_level();
-    a_thread_that_is_woken_continuously_still_pauses();
-    a_pump_does_not_change_where_no_cycle_is_due();
+    const int64_t uptimes_ns[] = {1000 * MS, HOUR - 1000 * MS, HOUR + 1000 * MS, 1000 * HOUR};
+    for (size_t i = 0; i < sizeof uptimes_ns / sizeof *uptimes_ns; i++) {
+        begin_at(uptimes_ns[i]);
+        a_command_and_a_stop_do_not_wait_for_the_cycle();
+        ending_the_line_does_not_wait_for_the_cycle_and_leaves_no_level();
+        a_thread_that_is_woken_continuously_still_pauses();
+        a_pump_does_not_change_where_no_cycle_is_due();
+    }
     return 0;
 }

@@ -21,15 +21,15 @@ static const uint32_t FOLLOWS[MODES][REQUESTS] = {
     {DRIVE_OFF, DRIVE_READY, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF, DRIVE_OFF},
     {DRIVE_OFF, DRIVE_READY, DRIVE_ARMED, DRIVE_READY, DRIVE_READY, DRIVE_READY},
     {DRIVE_OFF, DRIVE_ARMED, DRIVE_ARMED, DRIVE_READY, DRIVE_ARMED, DRIVE_ARMED},
-    {DRIVE_OFF, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE,
-     DRIVE_UNRESPONSIVE},
+    {DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE,
+     DRIVE_UNRESPONSIVE, DRIVE_UNRESPONSIVE},
     {DRIVE_OFF, DRIVE_READY, DRIVE_BACK, DRIVE_BACK, DRIVE_BACK, DRIVE_BACK},
 };
 
 static drive_request event_of(uint32_t from, uint32_t request)
 {
     bool set_up = from == DRIVE_OFF || from == DRIVE_BACK;
-    return request == DRIVE_OFF                                 ? REQUEST_OFF
+    return request == DRIVE_OFF && from != DRIVE_UNRESPONSIVE   ? REQUEST_OFF
            : request == DRIVE_READY && set_up                   ? REQUEST_SET_UP
            : request == DRIVE_ARMED && from == DRIVE_READY      ? REQUEST_ARM
            : request == DRIVE_STAND_DOWN && from == DRIVE_ARMED ? REQUEST_STAND_DOWN
@@ -53,9 +53,9 @@ static void each_request_leads_to_the_mode_of_the_table(void)
             bool begins = event == REQUEST_SET_UP || event == REQUEST_ARM;
             CHECK(drive.mode == FOLLOWS[m][r] && answer.request == event && !answer.overtaken &&
                   drive.request_seen == 4);
-            CHECK(answer.stop == (MODE[m] == DRIVE_ARMED && REQUEST[r] == DRIVE_OFF
-                                      ? STOP_POWER_OFF
-                                      : STOP_NOTHING));
+            bool powered = MODE[m] == DRIVE_ARMED || MODE[m] == DRIVE_BACK;
+            CHECK(answer.stop ==
+                  (powered && REQUEST[r] == DRIVE_OFF ? STOP_POWER_OFF : STOP_NOTHING));
             CHECK(drive.fault_reasons == (begins ? 0 : 8) &&
                   drive.still_enabled == (begins ? 0 : 2));
             CHECK(drive.epoch == (event == REQUEST_SET_UP ? 5 : 4));
@@ -66,6 +66,21 @@ static void each_request_leads_to_the_mode_of_the_table(void)
                   !answer.overtaken);
         }
     }
+}
+
+/* It is owed a power-off, which its probes send. Once it answers, the power-off is due at once. */
+static void a_request_of_off_leaves_an_unresponsive_drive_to_its_probes_until_it_answers(void)
+{
+    const mode_request request = {.count = 1, .mode = DRIVE_OFF};
+    const drive_view view = good_view();
+    drive_state drive = {.mode = DRIVE_READY};
+    drive_unresponsive(&drive);
+    CHECK(drive_obey(&drive, &request, &view).request == REQUEST_SEEN);
+    CHECK(drive.mode == DRIVE_UNRESPONSIVE && drive.request_seen == 1);
+    CHECK(drive_answers(&drive, false) == STOP_POWER_OFF);
+    drive.request_seen = 0;
+    CHECK(drive_obey(&drive, &request, &view).request == REQUEST_OFF);
+    CHECK(drive.mode == DRIVE_OFF && !drive.back);
 }
 
 static void a_drive_is_not_armed_while_any_condition_prevents_it(void)
@@ -92,22 +107,23 @@ static void a_request_that_was_overtaken_counts_as_a_stop(void)
 {
     for (int m = 0; m < MODES; m++) {
         for (int r = 0; r < REQUESTS; r++) {
-            for (int power = 0; power < 4; power++) {
-                drive_state drive = {.mode = MODE[m], .request_seen = UINT32_MAX, .back = true};
+            for (int power = 0; power < 5; power++) {
+                drive_state drive = {.mode = MODE[m], .request_seen = UINT32_MAX};
+                drive.back = power == 4;
                 drive.stopping = power == 1;
                 drive.sent_motion = power == 2;
                 drive.off_due = power == 3;
                 drive_view view = good_view();
                 mode_request request = {.count = 1, .mode = REQUEST[r]};
                 drive_answer answer = drive_obey(&drive, &request, &view);
-                bool powered = power > 0 || MODE[m] == DRIVE_ARMED;
+                bool powered = power > 0 || MODE[m] == DRIVE_ARMED || MODE[m] == DRIVE_BACK;
                 CHECK(answer.overtaken && answer.stop == (powered ? STOP_POWER_OFF : STOP_NOTHING));
                 CHECK(!drive.stopping && !drive.off_due);
                 bool arms = MODE[m] == DRIVE_READY && REQUEST[r] == DRIVE_ARMED && !powered;
                 CHECK((drive.mode == DRIVE_ARMED) == arms &&
                       (answer.request == REQUEST_ARM) == arms);
-                CHECK(drive.back ==
-                      (answer.request != REQUEST_OFF && answer.request != REQUEST_SET_UP));
+                CHECK(drive.back == (power == 4 && answer.request != REQUEST_OFF &&
+                                     answer.request != REQUEST_SET_UP));
             }
         }
     }
@@ -284,9 +300,15 @@ static void a_drive_that_stops_answering_keeps_only_its_fault_reasons_in_every_m
                   drive.stop == STOP_QUICK);
             CHECK(drive.fault_reasons == (DRIVE_FAULT_LEFT_ALONE | DRIVE_FAULT_UNRESPONSIVE));
             CHECK(!drive.stopping && !drive.back && !drive.off_due);
-            CHECK(drive_answers(&drive) == STOP_POWER_OFF && drive.back &&
-                  drive.mode == DRIVE_UNRESPONSIVE);
-            CHECK(drive_stop_done(&drive) && drive.mode == DRIVE_BACK && !drive.back);
+            for (int braking = 0; braking < 2; braking++) {
+                drive.mode = DRIVE_UNRESPONSIVE;
+                drive_stop stop = drive_answers(&drive, braking == 1);
+                CHECK(stop == (braking == 1 ? STOP_NOTHING : STOP_POWER_OFF));
+                CHECK(drive.back == (braking == 0) &&
+                      drive.mode == (braking == 1 ? DRIVE_BACK : DRIVE_UNRESPONSIVE));
+                CHECK(drive_stop_done(&drive) == (braking == 0) && drive.mode == DRIVE_BACK &&
+                      !drive.back);
+            }
         }
     }
 }
@@ -316,6 +338,7 @@ static void reasons_gather(void)
 int main(void)
 {
     each_request_leads_to_the_mode_of_the_table();
+    a_request_of_off_leaves_an_unresponsive_drive_to_its_probes_until_it_answers();
     a_drive_is_not_armed_while_any_condition_prevents_it();
     a_request_that_was_overtaken_counts_as_a_stop();
     an_armed_drive_is_stopped_for_each_reason_in_order();

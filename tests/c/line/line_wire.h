@@ -115,6 +115,7 @@ static inline void begin_with(uint32_t drives, uint32_t echo)
                            .echo = echo,
                            .character_ns = (double)CHARACTER_NS,
                            .gap_ns = GAP_NS,
+                           .late_ns = 120 * MS,
                            .setpoint_timeout_ns = 100 * MS,
                            .rest_velocity_rad_s = 0.1};
     for (uint32_t i = 0; i < drives; i++) {

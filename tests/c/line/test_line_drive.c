@@ -251,7 +251,7 @@ static void switching_off_and_overtaken_requests_take_the_power_of_a_powered_dri
                 drive->state.stopping = has == 2;
                 drive->state.sent_motion = has == 3;
                 drive->state.enabled = 1;
-                drive->state.back = true;
+                drive->state.back = has != 0;
                 drive->stage = STAGE_READ;
                 drive->due_ns = w.now_ns + 9 * MS;
                 w.machine.current = 0;

@@ -161,7 +161,8 @@ static void a_drive_that_answers_gets_its_power_off_and_is_back(void)
         while (w.machine.drive[0].state.mode != DRIVE_BACK) {
             go_on();
         }
-        CHECK(w.power_offs[0] == 2 && w.machine.drive[0].state.stop == STOP_NOTHING);
+        /* it still brakes: its set-up takes its power */
+        CHECK(w.power_offs[0] == 0 && w.machine.drive[0].state.stop == STOP_NOTHING);
         CHECK(!w.machine.drive[0].state.stopping && !w.machine.drive[0].state.back);
     }
 }
@@ -203,6 +204,19 @@ static void a_drive_that_falls_silent_in_its_cycle_restarts_and_delays_no_other(
     }
 }
 
+static void a_request_of_off_does_not_end_the_stops_of_an_unresponsive_drive(void)
+{
+    begin_with(1, 0);
+    become_unresponsive_while_it_may_turn();
+    request(0, DRIVE_OFF);
+    w.not_enabled = true;
+    look_for(3000 * MS);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.sent_off[0] > 0);
+    w.dead = 0;
+    look_for(3000 * MS);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_BACK && w.power_offs[0] > 0);
+}
+
 /* A round has one quick stop, the exchanges with set-points that begin the cycle, and the probe. */
 static void the_first_round_is_as_long_as_what_stops_the_drive(void)
 {
@@ -229,6 +243,7 @@ int main(void)
     a_drive_that_answers_gets_its_power_off_and_is_back();
     a_drive_that_falls_silent_ends_its_running_stop();
     a_drive_that_falls_silent_in_its_cycle_restarts_and_delays_no_other();
+    a_request_of_off_does_not_end_the_stops_of_an_unresponsive_drive();
     the_first_round_is_as_long_as_what_stops_the_drive();
     return checks_report("line unresponsive");
 }

@@ -106,6 +106,7 @@ static inline line_table table_of(uint32_t echo)
         .echo = echo,
         .character_ns = (double)CHARACTER_NS,
         .gap_ns = 10000,
+        .late_ns = 120000000,
         .setpoint_timeout_ns = 100 * MS,
         .rest_velocity_rad_s = 0.1,
         .group = {.used = 1,

@@ -97,6 +97,7 @@ static inline void servos_begin(uint32_t drives, uint32_t echo)
                            .echo = echo,
                            .character_ns = SERVO_CHARACTER_NS,
                            .gap_ns = 10000,
+                           .late_ns = 120000000,
                            .setpoint_timeout_ns = 100000000,
                            .rest_velocity_rad_s = 0.1,
                            .group = {.used = 1,

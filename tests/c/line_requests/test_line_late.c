@@ -6,6 +6,7 @@
 
 #include "line_wire.h"
 
+enum { LOST = 1, DAMAGED, LATE };
 enum { QUEUE_MAX = 64, UNITS_MAX = 2, BOTH = 4 };
 
 static const int64_t TICK_NS = 100000;
@@ -22,7 +23,9 @@ static int64_t busy_until_ns[UNITS_MAX]; /* a drive answers one request after th
 static int64_t late_ns;
 static uint32_t late_every; /* 1: each reply is late; n: one of n; 0: never */
 static uint32_t lose_every;
-static bool samples_late; /* the drive is busy first, and then takes the value */
+static uint32_t harm_every; /* of n replies of a drive, the last one is harmed */
+static uint32_t harm;       /* how */
+static bool samples_late;   /* the drive is busy first, and then takes the value */
 static bool turns_around_slowly;
 static bool first_only; /* only the first drive has late or lost replies */
 static uint32_t asked[UNITS_MAX];
@@ -59,7 +62,7 @@ static void begin_late(uint32_t drives, bool one_look, uint32_t seed)
     queue_count = 0;
     random_state = seed;
     late_ns = 0;
-    late_every = lose_every = 0;
+    late_every = lose_every = harm_every = 0;
     samples_late = turns_around_slowly = first_only = false;
     published = 0;
     last_sample_ns = last_stamp_ns = longest_pause_ns = 0;
@@ -72,6 +75,9 @@ static void serve(const uint8_t *request)
     bool late = !good && late_every > 0 && random_below(late_every) == 0;
     bool lost = !good && lose_every > 0 && random_below(lose_every) == 0;
     asked[number]++;
+    bool harmed = harm_every > 0 && asked[number] % harm_every == 0;
+    lost |= harmed && harm == LOST;
+    late |= harmed && harm == LATE;
     int64_t begin_ns =
         w.machine.end_ns > busy_until_ns[number] ? w.machine.end_ns : busy_until_ns[number];
     int64_t ready_ns = begin_ns + (turns_around_slowly ? 4 * MS : DEVICE_NS) + (late ? late_ns : 0);
@@ -84,6 +90,7 @@ static void serve(const uint8_t *request)
                (const uint8_t[]){request[0], READ, 2, (uint8_t)(count >> 8), (uint8_t)count}, 5);
         rtu_seal(to->reply, 7, SEAL_CRC16);
     }
+    to->reply[4] ^= harmed && harm == DAMAGED ? 0x10 : 0;
     to->at_ns = ready_ns + to->bytes * CHARACTER_NS;
     busy_until_ns[number] = to->at_ns;
     CHECK(queue_count < QUEUE_MAX - 1);
@@ -257,6 +264,30 @@ static void a_lost_reply_costs_a_drive_with_one_frame_a_short_pause(void)
     longest_pause_ns = 0;
     run(1, 10000 * MS);
     CHECK(published > 200 && longest_pause_ns <= 400 * MS);
+}
+
+/* The default age at which feedback is stale is 250 ms: one harmed reply of fifty is far from it.
+ * `late_after_ns`: by how much replies may be late on the medium: less on a UART than where a
+ * program passes the bytes on. */
+static void one_harmed_reply_of_fifty_leaves_feedback_fresh(int64_t late_after_ns,
+                                                            int64_t pause_max_ns)
+{
+    for (uint32_t drives = 1; drives <= 2; drives++) {
+        for (uint32_t how = LOST; how <= LATE; how++) {
+            for (uint32_t one_look = 0; one_look < 2; one_look++) {
+                begin_late(drives, one_look != 0, 5);
+                w.machine.table.late_ns = late_after_ns;
+                run(drives, 500 * MS);
+                harm = how;
+                harm_every = 50;
+                late_ns = 15 * MS;
+                longest_pause_ns = 0;
+                run(drives, 10000 * MS);
+                CHECK(published > 300 && longest_pause_ns <= pause_max_ns);
+                CHECK(w.machine.drive[0].count.unresponsive == 0);
+            }
+        }
+    }
 }
 
 /* The reply is so late that it is not awaited any more: it arrives right after the next request,
@@ -442,6 +473,8 @@ int main(void)
     a_late_drive_does_not_keep_its_neighbour_waiting(false);
     a_late_drive_does_not_keep_its_neighbour_waiting(true);
     a_lost_reply_costs_a_drive_with_two_frames_no_pause();
+    one_harmed_reply_of_fifty_leaves_feedback_fresh(120 * MS, 200 * MS);
+    one_harmed_reply_of_fifty_leaves_feedback_fresh(20 * MS, 130 * MS);
     a_lost_reply_costs_a_drive_with_one_frame_a_short_pause();
     a_reply_that_comes_sooner_than_the_drive_can_answer_is_not_its_answer();
     a_drive_that_is_always_too_late_is_unresponsive();

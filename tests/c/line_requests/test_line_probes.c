@@ -61,6 +61,38 @@ static void probes_of_a_drive_that_may_turn_stop_it_in_each_round(void)
     }
 }
 
+static void probes_of_a_drive_that_braked_take_its_power_off_once_it_is_not_enabled(void)
+{
+    begin_with(2, 0);
+    line_machine *m = &w.machine;
+    line_drive_state *drive = &m->drive[0];
+    drive->may_turn = true;
+    line_becomes_unresponsive(m, 0, w.now_ns);
+    line_frame frame;
+    for (uint32_t i = 0; i < 3; i++) {
+        line_next_probe(m, 0, w.now_ns, &frame);
+    }
+    w.now_ns += DRIVE_STOPPING_NS;
+    drive->probe_at_ns = w.now_ns + 1; /* the next round is not due yet */
+    m->newest.enabled = 1, m->newest.stamp_ns = w.now_ns;
+    CHECK(line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX); /* it holds */
+    m->newest.enabled = 0, w.now_ns--;
+    CHECK(line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX); /* it still brakes */
+    w.now_ns++;
+    for (uint32_t round = 0; round < 2; round++) {
+        for (uint32_t i = 0; i < m->table.drive[0].disarm_count; i++) {
+            CHECK(round > 0 || line_due_probe(m, true, w.now_ns) == 0);
+            line_next_probe(m, 0, w.now_ns, &frame);
+            CHECK(memcmp(&frame, &m->table.drive[0].disarm[i], sizeof frame) == 0);
+        }
+        line_next_probe(m, 0, w.now_ns, &frame);
+        CHECK(frame.request[1] == READ && drive->probe_at_ns > w.now_ns);
+    }
+    line_becomes_unresponsive(m, 0, w.now_ns);
+    line_next_probe(m, 0, w.now_ns, &frame);
+    CHECK(frame.request[3] == CONTROL && frame.request[5] == QUICK_STOP);
+}
+
 static void the_exchange_that_reads_goes_before_the_extra_ranges(void)
 {
     begin_with(1, 0);
@@ -83,6 +115,7 @@ static void the_first_unresponsive_drive_that_is_due_is_probed(void)
     for (uint32_t i = 1; i < 3; i++) {
         m->drive[i].state.mode = DRIVE_UNRESPONSIVE;
         m->drive[i].probe_at_ns = m->drive[i].silent_until_ns = w.now_ns;
+        m->drive[i].braked_ns = INT64_MAX;
     }
     CHECK(line_due_probe(m, false, w.now_ns) == 1 &&
           line_due_probe(m, true, w.now_ns) == LINE_DRIVES_MAX);
@@ -135,6 +168,7 @@ int main(void)
 {
     a_drive_that_becomes_unresponsive_has_no_last_set_points();
     probes_of_a_drive_that_may_turn_stop_it_in_each_round();
+    probes_of_a_drive_that_braked_take_its_power_off_once_it_is_not_enabled();
     the_exchange_that_reads_goes_before_the_extra_ranges();
     the_first_unresponsive_drive_that_is_due_is_probed();
     urgent_requests_wait_twenty_milliseconds_for_silence_and_others_without_limit();

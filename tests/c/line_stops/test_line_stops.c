@@ -303,7 +303,7 @@ static void the_echo_of_a_stop_does_not_bring_a_dead_drive_back(void)
     while (w.machine.drive[0].state.mode == DRIVE_UNRESPONSIVE && w.now_ns < died_ns + 20000 * MS) {
         go_on();
     }
-    CHECK(w.machine.drive[0].state.mode == DRIVE_BACK && w.power_offs[0] >= 2);
+    CHECK(w.machine.drive[0].state.mode == DRIVE_BACK && w.quick_stop_sent[0] >= 2);
 }
 
 static void a_drive_switched_off_before_it_has_received_zero_loses_its_power(void)

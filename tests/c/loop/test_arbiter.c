@@ -250,39 +250,166 @@ static void any_rate_but_zero_is_a_limit(void)
     CHECK(say(0, 6, 0.1) == 1 + REFUSED_RATE && say(1, 6, 0.1) == 0);
 }
 
-/* The owner was held when another lease of it ended. */
-static void begin_barred(int64_t until_ns)
+/* Bring the robot to rest for a while, and let sources move it again. */
+static void stop_and_go(void)
+{
+    b.may_move = false;
+    (void)obeyed();
+    b.now_ns += LIFE_NS;
+    (void)obeyed();
+    b.may_move = true;
+    (void)obeyed();
+}
+
+/* Commands that come less often than they live, and one gap in a stream of them: the same rule. */
+static void a_source_that_was_silent_during_a_stop_is_held(void)
+{
+    static const int64_t PAUSES_NS[] = {310000000, 340000000, 900000000, 3600000000000};
+    for (uint32_t i = 0; i < 4; i++) {
+        begin();
+        CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.1);
+        b.now_ns += PAUSES_NS[i]; /* it has lapsed when the stop comes */
+        stop_and_go();
+        CHECK(lease_of(0)->held == 1 && lease_of(0)->held_ns <= b.now_ns);
+        for (uint64_t sequence = 2; sequence < 6; sequence++) {
+            CHECK(say(0, sequence, 0.1) == 0 && obeyed().linear_m_s == 0.0);
+            b.now_ns += PAUSES_NS[i];
+        }
+        CHECK(say(0, 6, 0.0) == 0 && lease_of(0)->held == 0);
+        b.now_ns += PAUSES_NS[i];
+        CHECK(say(0, 7, 0.1) == 0 && obeyed().linear_m_s == 0.1);
+    }
+}
+
+static void a_source_that_was_silent_while_the_robot_was_armed_is_held(void)
 {
     begin();
-    b.permissions.lease[0].barred_until_ns = until_ns;
-    arbiter_grant(&b.arbiter, &b.permissions);
+    b.may_move = false;
+    CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.0);
+    b.now_ns += 2 * LIFE_NS;
+    (void)obeyed();
+    b.may_move = true;
+    b.now_ns += LIFE_NS;
+    CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.0 && lease_of(0)->held == 1);
 }
 
-static void a_held_source_is_held_under_its_next_lease_until_the_bar_ends(void)
+static void a_source_that_had_ended_its_request_before_the_stop_is_not_held(void)
 {
-    int64_t until_ns = 5000 * MS + 100 * MS;
-    begin_barred(until_ns);
-    b.now_ns = until_ns - 1;
-    CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.0 && lease_of(0)->held == 1);
-    b.now_ns += 200 * MS; /* the source keeps sending, and stays held */
+    for (uint32_t released = 0; released < 2; released++) {
+        begin();
+        CHECK(say(0, 1, 0.1) == 0);
+        command_datagram end = command_of(0, 2, 0.0);
+        end.kind = released != 0 ? COMMAND_RELEASE : COMMAND_TWIST;
+        CHECK(submit(end) == 0);
+        stop_and_go();
+        CHECK(lease_of(0)->held == 0);
+        CHECK(say(0, 3, 0.1) == 0 && obeyed().linear_m_s == 0.1);
+    }
+}
+
+static void a_command_that_is_no_number_ends_neither_a_request_nor_a_hold(void)
+{
+    begin();
+    CHECK(say(0, 1, 0.1) == 0 && say(0, 2, NAN) == 1 + REFUSED_NOT_FINITE);
+    CHECK(obeyed().linear_m_s == 0.0);
+    stop_and_go();
+    CHECK(say(0, 3, NAN) == 1 + REFUSED_NOT_FINITE && lease_of(0)->held == 1);
+    CHECK(say(0, 4, 0.1) == 0 && obeyed().linear_m_s == 0.0);
+}
+
+static void giving_the_command_back_ends_a_hold(void)
+{
+    begin();
+    CHECK(say(0, 1, 0.1) == 0);
+    stop_and_go();
+    command_datagram release = command_of(0, 2, 0.0);
+    release.kind = COMMAND_RELEASE;
+    CHECK(lease_of(0)->held == 1 && submit(release) == 0 && lease_of(0)->held == 0);
+    CHECK(say(0, 3, 0.1) == 0 && obeyed().linear_m_s == 0.1);
+}
+
+static void a_person_lets_all_that_are_held_go_on(void)
+{
+    begin();
+    CHECK(say(0, 1, 0.1) == 0 && say(1, 1, 0.2) == 0);
+    stop_and_go();
+    CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.0);
+    b.permissions.releases++;
+    b.may_move = false; /* a stop that comes at the same time counts */
+    arbiter_grant(&b.arbiter, &b.permissions);
+    CHECK(lease_of(0)->held == 0 && lease_of(1)->held == 0);
+    b.may_move = true;
+    CHECK(obeyed().linear_m_s == 0.1);
+    stop_and_go();
+    arbiter_grant(&b.arbiter, &b.permissions); /* the same number of releases: no new one */
+    CHECK(say(0, 3, 0.1) == 0 && obeyed().linear_m_s == 0.0);
+}
+
+static void a_lease_that_the_owner_s_hold_passes_to_is_held_until_it_requests_zero(void)
+{
+    int64_t held_ns = 4000 * MS;
+    begin();
+    b.permissions.lease[0].barred_ns = held_ns;
+    arbiter_grant(&b.arbiter, &b.permissions);
+    CHECK(lease_of(0)->held == 1 && lease_of(0)->held_ns == held_ns && lease_of(1)->held == 0);
+    CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.0 && lease_of(0)->held_ns == held_ns);
+    b.now_ns += 100 * LIFE_NS;
     CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.0);
     CHECK(say(0, 3, 0.0) == 0 && say(0, 4, 0.1) == 0 && obeyed().linear_m_s == 0.1);
-    begin_barred(until_ns);
-    b.now_ns = until_ns;
-    CHECK(say(0, 1, 0.1) == 0 && obeyed().linear_m_s == 0.1);
+    arbiter_grant(&b.arbiter, &b.permissions); /* the same hold counts once */
+    CHECK(obeyed().linear_m_s == 0.1);
+    b.permissions.lease[0].barred_ns = held_ns + 1;
+    arbiter_grant(&b.arbiter, &b.permissions);
+    CHECK(obeyed().linear_m_s == 0.0);
+    b.permissions.lease[0].barred_ns = held_ns + 2;
+    b.permissions.releases++; /* the hold is the later of the two */
+    arbiter_grant(&b.arbiter, &b.permissions);
+    CHECK(obeyed().linear_m_s == 0.0);
 }
 
-static void a_bar_counts_once_and_only_a_later_one_is_new(void)
+static void arming_lets_a_source_go_on_that_has_been_silent_for_five_seconds(void)
 {
-    int64_t until_ns = 5000 * MS + 2000 * MS;
-    begin_barred(until_ns);
-    CHECK(say(0, 1, 0.0) == 0 && obeyed().linear_m_s == 0.0);
-    b.now_ns += LIFE_NS; /* the command has lapsed */
-    CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == 0.1);
-    b.permissions.lease[0].barred_until_ns = until_ns + 1;
+    static const int64_t SILENT_MS[] = {400, 4999, 5000, 60000};
+    for (uint32_t i = 0; i < 4; i++) {
+        begin();
+        b.permissions.lease[1].barred_ns = b.now_ns; /* it has never sent anything */
+        arbiter_grant(&b.arbiter, &b.permissions);
+        CHECK(say(0, 1, 0.1) == 0);
+        b.may_move = false;
+        (void)obeyed();
+        b.now_ns += SILENT_MS[i] * MS;
+        (void)obeyed();
+        arbiter_arm(&b.arbiter, b.now_ns);
+        b.may_move = true;
+        double expected_m_s = i < 2 ? 0.0 : 0.1;
+        CHECK(lease_of(0)->held == (i < 2) && lease_of(1)->held == (i < 2));
+        CHECK(say(0, 2, 0.1) == 0 && obeyed().linear_m_s == expected_m_s);
+    }
+}
+
+static void a_place_without_a_lease_is_not_held(void)
+{
+    begin();
+    b.permissions.lease[7].barred_ns = 1;
     arbiter_grant(&b.arbiter, &b.permissions);
-    b.now_ns += LIFE_NS;
-    CHECK(say(0, 3, 0.1) == 0 && obeyed().linear_m_s == 0.0);
+    CHECK(lease_of(7)->held == 0);
+}
+
+static void commands_that_lapse_one_after_the_other_are_counted(void)
+{
+    begin();
+    for (uint32_t i = 0; i < 4; i++) {
+        CHECK(say(0, 1 + i, 0.1) == 0 && lease_of(0)->lapses == i);
+        b.now_ns += LIFE_NS + 40 * MS;
+    }
+    CHECK(lease_of(0)->interval_ns == LIFE_NS + 40 * MS);
+    CHECK(say(0, 5, 0.0) == 0 && lease_of(0)->lapses == 4);
+    b.now_ns += 100 * LIFE_NS; /* the pause after a request that has ended */
+    CHECK(say(0, 6, 0.1) == 0 && lease_of(0)->lapses == 0 && lease_of(0)->interval_ns == 0);
+    b.now_ns += LIFE_NS + MS;
+    CHECK(say(0, 7, 0.1) == 0 && lease_of(0)->lapses == 1);
+    b.now_ns += LIFE_NS - 1;
+    CHECK(say(0, 8, 0.1) == 0 && lease_of(0)->lapses == 0);
 }
 
 /* After a suspend of the computer, commands that were stamped before it count as never sent. */
@@ -355,8 +482,16 @@ int main(void)
     the_report_has_whether_motion_is_allowed();
     the_interval_between_commands_is_smoothed_over_eight();
     any_rate_but_zero_is_a_limit();
-    a_held_source_is_held_under_its_next_lease_until_the_bar_ends();
-    a_bar_counts_once_and_only_a_later_one_is_new();
+    a_source_that_was_silent_during_a_stop_is_held();
+    a_source_that_was_silent_while_the_robot_was_armed_is_held();
+    a_source_that_had_ended_its_request_before_the_stop_is_not_held();
+    a_command_that_is_no_number_ends_neither_a_request_nor_a_hold();
+    giving_the_command_back_ends_a_hold();
+    a_person_lets_all_that_are_held_go_on();
+    a_lease_that_the_owner_s_hold_passes_to_is_held_until_it_requests_zero();
+    arming_lets_a_source_go_on_that_has_been_silent_for_five_seconds();
+    a_place_without_a_lease_is_not_held();
+    commands_that_lapse_one_after_the_other_are_counted();
     after_a_suspend_no_command_is_alive();
     return checks_report("arbiter");
 }

@@ -87,9 +87,9 @@ static void a_source_that_requests_motion_through_a_stop_is_held_until_it_reques
           1 + REFUSED_NOT_FINITE);
     CHECK(speed_m_s(&a, START_NS, true) == 0.0 && a.report.commander == 'a');
     CHECK(say(&a, command_of('a', 7, START_NS, 0.1), START_NS, false) == 0);
-    int64_t later_ns = START_NS + LIFE_NS; /* the hold ends after a silence as long as the lease */
+    int64_t later_ns = START_NS + LIFE_NS; /* no silence ends the hold */
     CHECK(say(&a, command_of('a', 8, later_ns, 0.1), later_ns, true) == 0 &&
-          speed_m_s(&a, later_ns, true) == 0.1);
+          speed_m_s(&a, later_ns, true) == 0.0);
 }
 
 static void a_lease_that_is_no_longer_granted_has_ended(void)

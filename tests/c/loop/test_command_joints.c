@@ -283,10 +283,13 @@ static void an_angle_or_a_speed_far_out_of_range_is_refused(void)
     static const struct {
         double pan_rad, belt_rad_s;
         int result;
-    } CASES[] = {{20.0, 80.0, 0},
-                 {-20.0, -80.0, 0},
-                 {20.1, 0.0, 1 + REFUSED_OUT_OF_RANGE},
-                 {-20.1, 0.0, 1 + REFUSED_OUT_OF_RANGE},
+    } CASES[] = {{2.0, 80.0, 0},
+                 {-2.0, -80.0, 0},
+                 {2.0199, 0.0, 0}, /* rounded, perhaps */
+                 {-2.0199, 0.0, 0},
+                 {2.0201, 0.0, 1 + REFUSED_OUT_OF_RANGE},
+                 {-2.0201, 0.0, 1 + REFUSED_OUT_OF_RANGE},
+                 {10.0, 0.0, 1 + REFUSED_OUT_OF_RANGE}, /* degrees */
                  {0.0, 80.1, 1 + REFUSED_OUT_OF_RANGE},
                  {NAN, 0.0, 1 + REFUSED_NOT_FINITE},
                  {0.0, INFINITY, 1 + REFUSED_NOT_FINITE}};
@@ -300,8 +303,9 @@ static void an_angle_or_a_speed_far_out_of_range_is_refused(void)
     }
 }
 
-/* The end of the range that is farther from zero counts in both directions. */
-static void an_angle_or_a_speed_is_compared_with_the_farther_end_of_its_range(void)
+/* A speed in either direction is compared with the end that is farther from zero, an angle with the
+ * end on its side. */
+static void an_angle_is_compared_with_its_range_and_a_speed_with_the_farther_end(void)
 {
     static const double ENDS[][2] = {{-0.5, 2.0}, {-2.0, 0.5}};
     core_config config = head_and_belt();
@@ -311,15 +315,48 @@ static void an_angle_or_a_speed_is_compared_with_the_farther_end_of_its_range(vo
         for (int sign = -1; sign <= 1; sign += 2) {
             arbiter *a = begun(&config);
             joint_position_datagram joints = datagram_of(1);
-            joints.position_rad[0] = joints.head.velocity_rad_s[1] = sign * 20.0;
+            double end_rad = sign < 0 ? ENDS[i][0] : ENDS[i][1];
+            joints.position_rad[0] = end_rad, joints.head.velocity_rad_s[1] = sign * 20.0;
             CHECK(submit(a, &joints) == 0);
-            joints.head.sequence = 2, joints.position_rad[0] = sign * 20.1;
+            joints.head.sequence = 2, joints.position_rad[0] = end_rad + sign * 0.1;
             CHECK(submit(a, &joints) == 1 + REFUSED_OUT_OF_RANGE);
+            CHECK(commanded(a).named == 0);
             joints.head.sequence = 3, joints.position_rad[0] = 0.0,
             joints.head.velocity_rad_s[1] = sign * 20.1;
             CHECK(submit(a, &joints) == 1 + REFUSED_OUT_OF_RANGE);
         }
     }
+}
+
+static void a_position_beyond_its_range_means_the_end_only_where_the_source_asks_for_it(void)
+{
+    core_config config = head_and_belt();
+    arbiter *a = begun(&config);
+    joint_position_datagram joints = datagram_of(1);
+    joints.position_rad[0] = 1e6, joints.positions |= POSITIONS_CLAMP;
+    CHECK(submit(a, &joints) == 0 && commanded(a).value_u[0] == 1e6 && commanded(a).named == 3);
+    joints.head.sequence = 2, joints.head.velocity_rad_s[1] = 80.1; /* a speed is a speed */
+    CHECK(submit(a, &joints) == 1 + REFUSED_OUT_OF_RANGE);
+    joints.head.sequence = 3, joints.head.velocity_rad_s[1] = 0.0, joints.position_rad[0] = NAN;
+    CHECK(submit(a, &joints) == 1 + REFUSED_NOT_FINITE);
+    joints.head.sequence = 4, joints.positions = POSITIONS_CLAMP;
+    CHECK(submit(a, &joints) == 0 && commanded(a).named == 2);
+    core_config base = good_config(); /* joints of a base take no positions */
+    base.joint_count = 3;
+    a = begun(&base);
+    joints = datagram_of(1), joints.positions = POSITIONS_CLAMP, joints.velocities = 0;
+    CHECK(submit(a, &joints) == 0);
+}
+
+/* A joint that is not named has no position, wherever its range lies. */
+static void the_range_of_a_joint_that_is_not_named_does_not_count(void)
+{
+    core_config config = head_and_belt();
+    config.joint[2].position.position_min_rad = 1.0;
+    config.joint[2].position.position_max_rad = 2.0;
+    arbiter *a = begun(&config);
+    joint_position_datagram joints = datagram_of(1);
+    CHECK(submit(a, &joints) == 0 && commanded(a).named == 3);
 }
 
 /* A motion that is commanded while nothing may move does not begin later, when it may. */
@@ -387,7 +424,9 @@ int main(void)
     without_a_lease_in_command_no_joint_is_named();
     datagrams_of_the_older_version_move_only_joints_with_velocity();
     an_angle_or_a_speed_far_out_of_range_is_refused();
-    an_angle_or_a_speed_is_compared_with_the_farther_end_of_its_range();
+    an_angle_is_compared_with_its_range_and_a_speed_with_the_farther_end();
+    a_position_beyond_its_range_means_the_end_only_where_the_source_asks_for_it();
+    the_range_of_a_joint_that_is_not_named_does_not_count();
     motion_that_was_requested_too_early_is_held();
     a_datagram_has_the_length_of_its_version();
     return checks_report("test_command_joints");

@@ -75,17 +75,40 @@ static void each_wheel_is_reported_separately(void)
           shown->joint[3].current_a == 4.0);
 }
 
-static void a_wheel_without_feedback_has_no_values(void)
+static void a_wheel_without_fresh_feedback_has_no_values(void)
 {
     core_config config = good_config();
     start(r, &config);
     r->stale = true;
     r->input.feedback[0].stamp_ns = 1;
+    r->input.feedback[1].stamp_ns = r->input.now_ns;
     const robot_state *shown = tick(r);
-    CHECK(shown->joint[0].current_a == 0.0 && shown->joint[0].enabled == 1);
-    CHECK(isnan(shown->joint[1].current_a) && isnan(shown->joint[1].voltage_v) &&
-          isnan(shown->joint[1].temperature_c));
-    CHECK(shown->joint[1].enabled == 2 && shown->joint[1].stale == 1);
+    CHECK(shown->joint[1].current_a == 0.0 && shown->joint[1].enabled == 1);
+    for (int j = 0; j < 4; j += 2) {
+        CHECK(isnan(shown->joint[j].current_a) && isnan(shown->joint[j].voltage_v) &&
+              isnan(shown->joint[j].temperature_c));
+        CHECK(shown->joint[j].enabled == 2 && shown->joint[j].stale == 1);
+    }
+}
+
+static void a_twist_that_nothing_measures_has_no_covariance(void)
+{
+    begin();
+    drive();
+    const robot_state *shown = &r->shown;
+    int64_t stamp_ns = shown->odometry_stamp_ns;
+    double x_m = shown->x_m;
+    r->stale = true;
+    for (int j = 0; j < 4; j++) {
+        r->input.feedback[j].stamp_ns = 1;
+    }
+    shown = tick(r);
+    CHECK(isnan(shown->linear_m_s) && isnan(shown->angular_rad_s) &&
+          isnan(shown->lateral.lateral_m_s) && isnan(shown->lateral.slip_m_s));
+    for (int i = 0; i < 3; i++) {
+        CHECK(isnan(shown->twist_covariance[i]));
+    }
+    CHECK(shown->odometry_stamp_ns == stamp_ns && shown->x_m == x_m);
 }
 
 static void all_of_the_odometry_is_reported(void)
@@ -310,7 +333,8 @@ int main(void)
 {
     r = malloc(sizeof *r);
     each_wheel_is_reported_separately();
-    a_wheel_without_feedback_has_no_values();
+    a_wheel_without_fresh_feedback_has_no_values();
+    a_twist_that_nothing_measures_has_no_covariance();
     all_of_the_odometry_is_reported();
     the_bias_of_the_sensor_is_subtracted();
     the_motion_of_the_base_and_its_reasons_are_reported();

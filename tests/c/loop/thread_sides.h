@@ -4,9 +4,11 @@
 #ifndef MOTORD_TESTS_THREAD_SIDES_H
 #define MOTORD_TESTS_THREAD_SIDES_H
 
+#include <dirent.h>
 #include <poll.h>
 #include <pthread.h>
 #include <stdatomic.h>
+#include <string.h>
 #include <sys/eventfd.h>
 #include <sys/socket.h>
 #include <unistd.h>
@@ -38,11 +40,41 @@ static inline line_place place_of_the_thread(void)
     return (line_place){.fd = ends[0], .event_fd = eventfd(0, EFD_NONBLOCK), .exchange = &shared};
 }
 
-/* Waits a moment; fails later than 20 s after `begin_ns`. */
+/* Whether a thread of this process has this name. */
+static inline bool a_thread_is_called(const char *name)
+{
+    char path[300], found[32];
+    bool any = false;
+    DIR *tasks = opendir("/proc/self/task");
+    CHECK(tasks != NULL);
+    for (struct dirent *task = readdir(tasks); task != NULL; task = readdir(tasks)) {
+        (void)snprintf(path, sizeof path, "/proc/self/task/%s/comm", task->d_name);
+        FILE *file = fopen(path, "r");
+        if (file != NULL) {
+            bool read = fgets(found, sizeof found, file) != NULL;
+            any |= read && strncmp(found, name, strlen(name)) == 0 &&
+                   strcmp(found + strlen(name), "\n") == 0;
+            CHECK(fclose(file) == 0);
+        }
+    }
+    CHECK(closedir(tasks) == 0);
+    return any;
+}
+
+static const int64_t WAIT_NS = INT64_C(20000000000);
+
+/* Waits a moment; fails later than WAIT_NS after `begin_ns`. */
 static inline void look_again(int64_t begin_ns)
 {
-    CHECK(clock_now_ns() < begin_ns + INT64_C(20000000000));
+    CHECK(clock_now_ns() < begin_ns + WAIT_NS);
     (void)poll(NULL, 0, 1);
 }
+
+#define WAIT_UNTIL(condition)                                                                      \
+    do {                                                                                           \
+        for (int64_t since_ns = clock_now_ns(); !(condition); (void)poll(NULL, 0, 1)) {            \
+            CHECK(clock_now_ns() < since_ns + WAIT_NS || !#condition);                             \
+        }                                                                                          \
+    } while (0)
 
 #endif

@@ -25,6 +25,8 @@ static inline base begun(uint32_t bits)
 {
     base b = {.config = {.joint_count = 2,
                          .feedback_timeout_s = 0.25,
+                         /* so great that the speed is that of the last step */
+                         .limits.linear.acceleration_u_s2 = 1e12,
                          .distance_variance_m2_per_m = 1e-4,
                          .turn_variance_rad2_per_rad = 1e-3}};
     for (int j = 0; j < 2; j++) {

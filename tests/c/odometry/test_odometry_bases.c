@@ -100,28 +100,6 @@ static void the_variance_sideways_begins_at_its_floor_where_a_base_strafes(void)
     }
 }
 
-/* --- a base that strafes */
-static void the_covariances_of_a_speed_sideways_are_the_rates_of_the_errors(void)
-{
-    static const int64_t COUNTS[] = {50000, 31000, 20000, 47000};
-    base b;
-    begin_with(&b, mecanum());
-    b.config.twist_variance_floor_m2_s2 = 1e-3;
-    all_come(&b, STEP_NS, COUNTS);
-    for (int i = 0; i < 3; i++) {
-        all_come(&b, SPREAD_EVERY_NS, COUNTS);
-    }
-    const spread_state *spread = &b.state.spread;
-    const double *lateral = b.state.lateral_covariance;
-    double per_s = 1e9 / (double)SPREAD_EVERY_NS;
-    CHECK(spread->linear_lateral_m2_s != 0.0 && spread->lateral2_m2_s > 0.0 &&
-          spread->lateral_angular_m_rad_s != 0.0);
-    CHECK(fabs(lateral[0] - spread->linear_lateral_m2_s * per_s) < 1e-15);
-    CHECK(fabs(lateral[1] - 1e-3 - spread->lateral2_m2_s * per_s) < 1e-15);
-    CHECK(fabs(lateral[2] - spread->lateral_angular_m_rad_s * per_s) < 1e-15);
-    CHECK(b.state.lateral_m_s != 0.0);
-}
-
 /* --- checks of the errors */
 static void same_pose_variance(const odometry_state *a, const odometry_state *b)
 {
@@ -331,7 +309,6 @@ int main(void)
 {
     only_a_joint_whose_angle_is_estimated_begins_at_an_angle();
     the_variance_sideways_begins_at_its_floor_where_a_base_strafes();
-    the_covariances_of_a_speed_sideways_are_the_rates_of_the_errors();
     before_a_wheel_is_left_out_the_errors_of_all_are_checked();
     a_wheel_that_is_left_out_has_no_travel_in_a_look();
     before_the_gyro_takes_over_the_motion_of_the_wheels_is_checked();

@@ -109,7 +109,7 @@ static void check_pose(const odometry_state *s, const double *p, const expected_
     }
 }
 
-static void a_look_carries_the_wheels_errors_and_their_slip_into_pose_and_twist(void)
+static void a_look_carries_the_wheels_errors_and_their_slip_into_the_pose(void)
 {
     static odometry_state s;
     core_config config = mecanum();
@@ -125,17 +125,11 @@ static void a_look_carries_the_wheels_errors_and_their_slip_into_pose_and_twist(
     spread_look(&s, &config, BEFORE_NS + STEP_NS);
     CHECK(near(s.spread.slip_m_s, e.slip_m_s) && e.slip_m_s > 1e-3);
     check_pose(&s, p, &e, moved_m, 0.45);
-    CHECK(near(s.spread.linear2_m2_s, e.of[0][0] / 0.05) &&
-          near(s.spread.lateral2_m2_s, e.of[1][1] / 0.05));
-    CHECK(near(s.spread.angular2_rad2_s, (e.of[2][2] + 1e-3 * fabs(e.turn_rad)) / 0.05));
-    CHECK(near(s.spread.linear_lateral_m2_s, e.of[0][1] / 0.05));
-    CHECK(near(s.spread.linear_angular_m_rad_s, e.of[0][2] / 0.05));
-    CHECK(near(s.spread.lateral_angular_m_rad_s, e.of[1][2] / 0.05));
     CHECK(s.spread.stamp_ns == BEFORE_NS + STEP_NS && s.spread.x_m == 0.0 &&
           s.spread.rim_m[0] == 0.0);
 }
 
-/* The time of the first look is unknown: it gives neither slip nor rates. */
+/* The time of the first look is unknown: it gives no slip. */
 static void the_first_look_adds_errors_without_a_time(void)
 {
     static odometry_state s;
@@ -146,8 +140,7 @@ static void the_first_look_adds_errors_without_a_time(void)
     s.spread.x_m = moved_m[0], s.spread.y_m = moved_m[1];
     expected_errors e = expected_of(&s, &config, 0.0);
     spread_look(&s, &config, BEFORE_NS);
-    CHECK(s.spread.slip_m_s == 0.0 && s.spread.linear2_m2_s == 0.0 &&
-          s.spread.angular2_rad2_s == 0.0);
+    CHECK(s.spread.slip_m_s == 0.0);
     check_pose(&s, p, &e, moved_m, 0.0);
 }
 
@@ -236,7 +229,7 @@ static double steered_rad2(core_config config, const double *angle_rad, double r
     }
     s.spread.stamp_ns = BEFORE_NS;
     spread_look(&s, &config, BEFORE_NS + STEP_NS);
-    CHECK(s.used.determined && near(s.spread.angular2_rad2_s, s.pose_covariance[5] / 0.05));
+    CHECK(s.used.determined);
     return s.pose_covariance[5];
 }
 
@@ -388,7 +381,7 @@ static void a_blind_base_with_steered_wheels_may_have_turned_as_they_point(void)
 int main(void)
 {
     a_curve_sideways_ends_where_the_textbook_puts_it();
-    a_look_carries_the_wheels_errors_and_their_slip_into_pose_and_twist();
+    a_look_carries_the_wheels_errors_and_their_slip_into_the_pose();
     the_first_look_adds_errors_without_a_time();
     only_wheels_that_determine_the_motion_count_in_the_slip();
     a_wheel_whose_angle_is_estimated_turns_the_base_by_its_error_over_its_lever();

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Boards that read text: the line's very bytes on a pseudo-terminal."""
 
+import asyncio
+import contextlib
 import os
 import tty
 from dataclasses import replace
@@ -40,23 +42,28 @@ async def test_duties_are_sent_as_the_classic_line_and_zeros_until_it_is_armed(p
         await until(lambda: peer.lines[-1:] == [b"0,0"])
 
 
-async def test_a_new_set_point_does_not_wait_for_its_cycle(peer):
-    """The real-time engine sends it at once. One cycle lasts longer than this test ever waits."""
-    made = spec_of(peer.link, "{left:d},{right:d}\n")
-    once = tuple(replace(joint, tries=1) for joint in made.joints)
-    async with running(replace(made, joints=once, cycle_hz=0.0125)) as rig:
-        await rig.ready()
-        await rig.line.arm()
-        rig.loop.enabled = True
-        for number in range(1, 4):
-            rig.loop.duty = {0: 0.2 * number, 1: 0.0}
-            rig.loop.put()
-            rig.loop.exchange.wake_line(0)
-            await until(lambda number=number: peer.lines[-1:] == [b"%d,0" % (51 * number)])
-        rig.loop.duty = {}
-        rig.loop.put()
-        rig.loop.exchange.wake_line(0)
-        await until(lambda: peer.lines[-1:] == [b"0,0"])
+async def test_a_new_set_point_does_not_wait_for_its_cycle(tmp_path):
+    """The real-time engine sends it when it is woken. Of two boards with slow cycles, the one
+    whose line is woken has its third set-point before the other."""
+    template = "{left:d},{right:d}\n"
+    with (
+        contextlib.closing(Reader(tmp_path / "woken")) as woken,
+        contextlib.closing(Reader(tmp_path / "waiting")) as waiting,
+    ):
+        async with (
+            running(replace(spec_of(woken.link, template), cycle_hz=0.5)) as rig,
+            running(replace(spec_of(waiting.link, template), index=1, cycle_hz=0.5)) as slow,
+        ):
+            await asyncio.gather(rig.arm(), slow.arm())
+            for number in range(1, 4):
+                for each in (rig, slow):
+                    each.loop.enabled, each.loop.duty = True, {0: 0.2 * number, 1: 0.0}
+                    each.loop.put()
+                rig.loop.exchange.wake_line(0)
+                line = b"%d,0" % (51 * number)
+                await until(lambda line=line: woken.lines[-1:] == [line])
+            assert b"153,0" not in waiting.lines
+            await until(lambda: waiting.lines[-1:] == [b"153,0"])
 
 
 async def test_a_board_may_get_the_speeds_of_the_base(peer):

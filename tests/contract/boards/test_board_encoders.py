@@ -98,7 +98,7 @@ async def test_a_restarted_board_is_a_new_origin_and_no_motion(rig, peer):
     await until(lambda: feedback_of(rig).velocity_rad_s == 0.0)
     before, epoch = count_of(rig), feedback_of(rig).epoch
     peer.do("r")
-    await until(lambda: feedback_of(rig).epoch == epoch + 1, "a new epoch")
+    await until(lambda: feedback_of(rig).epoch > epoch, "a new epoch")
     assert count_of(rig) == before
 
 

@@ -115,7 +115,7 @@ async def test_a_bus_that_disappears_is_reopened_and_its_drive_is_set_up_disarme
     await until(lambda: rig.kinds().count(EventKind.LINE_OPEN) == 2)
     bus.accept()
     await lively(rig, bus, lambda: rig.states() == {DriveState.READY})
-    await lively(rig, bus, lambda: rig.loop.exchange.take_feedback(0).epoch == epoch + 1)
+    await lively(rig, bus, lambda: rig.loop.exchange.take_feedback(0).epoch > epoch)
     assert rig.kinds().count(EventKind.LINE_LOST) == 1
     assert set(bus.velocities()) <= {0.0}
     assert rig.line.stats().reopened == 1

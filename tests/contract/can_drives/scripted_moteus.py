@@ -20,8 +20,9 @@ SECONDS, WHOLE = (0.01, 0.001, 0.000001), (1, 1, 1)
 SCALES = {
     0x000: WHOLE, 0x001: TURNS, 0x002: TURNS_S, 0x003: TORQUE, 0x004: CURRENT, 0x00D: VOLTAGE,
     0x00C: WHOLE, 0x00E: CELSIUS, 0x00F: WHOLE, 0x020: TURNS, 0x021: TURNS_S, 0x022: TORQUE,
-    0x027: SECONDS, 0x028: TURNS_S,
+    0x027: SECONDS, 0x028: TURNS_S, 0x102: WHOLE,
 }  # fmt: skip
+AT_POWER_UP = {0x00D: 24.0, 0x00E: 31.5, 0x102: 5}
 COMMANDS = (0x020, 0x021, 0x022, 0x027, 0x028)
 LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 NOTHING = 0x50
@@ -40,12 +41,17 @@ def varuint(data):
             return value
 
 
+def put_varuint(value):
+    low, high = value & 0x7F, value >> 7
+    return bytes([low | 0x80]) + put_varuint(high) if high else bytes([low])
+
+
 class Moteus:
     """One controller on a bus, whose motor has the commanded speed at once."""
 
     def __init__(self, address, node):
         self.node = node
-        self.values = dict.fromkeys(SCALES, 0.0) | {0x00D: 24.0, 0x00E: 31.5}
+        self.values = dict.fromkeys(SCALES, 0.0) | AT_POWER_UP
         self.modes, self.velocities, self.bad = [], [], []
         self.positions = []
         """Target of each command, and the controller's mode after it."""
@@ -73,7 +79,7 @@ class Moteus:
         self.values |= {0x000: FAULT, 0x00F: code, 0x002: 0.0}
 
     def reboot(self):
-        self.values |= dict.fromkeys(SCALES, 0.0) | {0x00D: 24.0, 0x00E: 31.5}
+        self.values |= dict.fromkeys(SCALES, 0.0) | AT_POWER_UP
         self._fed_s = None
 
     def _serve(self):
@@ -135,7 +141,7 @@ class Moteus:
 
     def _sent(self, width, registers):
         reply = bytes([0x20 | width << 2 | (len(registers) if len(registers) < 4 else 0)])
-        reply += bytes([len(registers)]) * (len(registers) >= 4) + bytes([registers[0]])
+        reply += bytes([len(registers)]) * (len(registers) >= 4) + put_varuint(registers[0])
         for register in registers:
             value = self.values[register]
             raw = value if width == 3 else round(value / SCALES[register][width])

@@ -17,7 +17,7 @@ import can
 
 from motord_hal.sim.can.unix_bus import UnixBus
 
-HEARTBEAT, ESTOP, MOTOR_ERROR, STATE, ESTIMATES = 0x01, 0x02, 0x03, 0x07, 0x09
+VERSION, HEARTBEAT, ESTOP, MOTOR_ERROR, STATE, ESTIMATES = 0x00, 0x01, 0x02, 0x03, 0x07, 0x09
 MODE, INPUT_POSITION, INPUT_VELOCITY, IQ, BUS, CLEAR = 0x0B, 0x0C, 0x0D, 0x14, 0x17, 0x18
 IDLE, CLOSED_LOOP = 1, 8
 VELOCITY_CONTROL, POSITION_CONTROL = 2, 3
@@ -162,6 +162,7 @@ class Peer:
         if axis.no_heartbeat and command == HEARTBEAT:
             return
         data = {
+            VERSION: bytes((2, 5, 2, 0, 0, 6, 9, 0)),  # protocol 2, firmware 0.6.9
             HEARTBEAT: struct.pack("<IB3x", axis.error, axis.state),
             ESTIMATES: struct.pack("<ff", axis.position_turns, axis.velocity_turns_s),
             BUS: struct.pack("<ff", axis.voltage_v, 0.0),

@@ -242,3 +242,16 @@ async def test_stop_all_reports_a_drive_that_keeps_its_power_at_rest(drives, spe
     drives[0].lost_stops = 1_000_000
     assert await halt_line(spec) == ["wheel_3: reports that it still has power"]
     assert [drive.mode for drive in drives] == [ZERO_VELOCITY, STOPPED]
+
+
+async def test_a_controller_with_another_register_map_is_refused_before_it_is_commanded(
+    spec, drives
+):
+    for drive in drives:
+        drive.values[0x102] = 4
+    async with running(spec) as rig:
+        await until(lambda: rig.states() == {DriveState.UNRESPONSIVE}, "both are refused")
+        text = " ".join(event.text for event in rig.events)
+        assert "another drive answers, not mjbots moteus" in text
+        assert "register_map_version is 4, not 5" in text
+        assert drives[0].modes == drives[1].modes == []

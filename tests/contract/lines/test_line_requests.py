@@ -11,7 +11,7 @@ from modbus_rig import CONTROL, ENABLE, ENGINES, OFF, hub_servo, registers_of, s
 from scripted_slave import ScriptedSlave, Unit
 
 from motord_hal.base.clock import now_ns
-from motord_hal.base.errors import HalError
+from motord_hal.base.errors import HalError, NoReply
 from motord_hal.fieldbus.ports import DriveState
 from motord_hal.modbus.codec import Function, Request
 from motord_hal.realtime.exchange import Exchange
@@ -111,6 +111,16 @@ async def test_disarming_two_drives_while_one_is_read_switches_both_off(peer):
         for unit in (1, 2):
             assert peer.written(CONTROL, unit)[-1] == OFF
         assert rig.states() == {DriveState.READY}
+
+
+async def test_a_drive_that_does_not_answer_leaves_its_power_off_unconfirmed(peer):
+    async with running(spec_of(peer, two_drives())) as rig:
+        await rig.arm()
+        peer.units[2].silent = True
+        await until(lambda: DriveState.UNRESPONSIVE in rig.states())
+        with pytest.raises(NoReply, match="left2, right2: no answer, so the power-off is not"):
+            await rig.line.disarm()
+        assert peer.written(CONTROL, 1)[-1] == OFF
 
 
 async def test_continuous_reads_do_not_keep_the_drives_from_being_disarmed(peer):

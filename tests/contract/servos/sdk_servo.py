@@ -48,6 +48,8 @@ class FeetechSdk:
     """The packet code of ftservo-python-sdk."""
 
     width, goal, present, torque, mode = 1, (46, 2), (58, 2), 40, 33
+    model = 3, (777).to_bytes(2, "little")
+    """Place and content of the model number."""
 
     def __init__(self):
         self.port = CapturedPort()
@@ -87,6 +89,7 @@ class ScsSdk(FeetechSdk):
     """The packet code of ftservo-python-sdk's class for the SCS series."""
 
     goal, present = (42, 2), (56, 2)
+    model = 3, (1284).to_bytes(2, "big")
 
     def __init__(self):
         super().__init__()
@@ -97,6 +100,7 @@ class DynamixelSdk:
     """The packet code of dynamixel-sdk."""
 
     width, goal, present, torque, mode = 2, (104, 4), (128, 4), 64, 11
+    model = 0, (1060).to_bytes(2, "little")
 
     def __init__(self):
         self.port = CapturedPort()
@@ -155,6 +159,9 @@ class SdkServos:
     def __init__(self, path: Path, sdk, units):
         self.sdk = sdk
         self.tables = {unit: bytearray(TABLE_BYTES) for unit in units}
+        first, number = sdk.model
+        for table in self.tables.values():
+            table[first : first + len(number)] = number
         self.codes: list[int] = []
         self.silent: set[int] = set()
         """Units that receive requests and follow them, but do not answer."""

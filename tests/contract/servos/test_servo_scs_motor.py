@@ -41,7 +41,9 @@ class MotorServos(SdkServos):
         table[first : first + len(data)] = data
         if first == DUTY:
             self.duties.append((unit, table[TORQUE], bytes(data)))
-        self.powered_in_other_modes += bool(table[TORQUE] and any(table[LIMITS]))
+        # a servo that has torque when it is found may turn: it gets a duty of zero
+        rests = first == DUTY and bytes(data) == sdk_duty(0)
+        self.powered_in_other_modes += bool(table[TORQUE] and any(table[LIMITS]) and not rests)
 
     def duty(self, unit):
         return bytes(self.tables[unit][DUTY : DUTY + 2])

@@ -1,10 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A line and its simulated drives. Each file defines `variant`, the name of a profile and its
-engine, and `profile`, the profile of that variant."""
+"""A line and its simulated drives. `variant` is the name of a profile and its engine, by which
+tests are parametrized, and `profile` the profile of that variant; some files define their own."""
 
 import pytest
+from left_running import profile_of
 from loop_side import running
 from sim_bench import folder_of, spec_of
+
+
+@pytest.fixture
+def variant(request):
+    return request.param
+
+
+@pytest.fixture
+def profile(variant):
+    return profile_of(variant)
 
 
 @pytest.fixture

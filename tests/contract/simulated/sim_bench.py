@@ -57,10 +57,16 @@ def reports(profile):
     return any("r" in register.access for register in profile.registers.values())
 
 
-def joints_of(profile, gear_ratio=1.0):
+def names_of(joints):
+    """Return names of this number of joints: the odd ones are on the right."""
+    return ("left", "right", *(f"joint{number}" for number in range(2, joints)))
+
+
+def joints_of(profile, gear_ratio=1.0, joints=2):
     """Return a left and a right joint: on one drive if it has two channels, else on two units. The
-    right motor is mounted in reverse if the drive can reverse."""
+    right motor is mounted in reverse if the drive can reverse. More joints are on more units."""
     paired, first = len(profile.channels) > 1, unit_of(profile)
+    assert joints == 2 or not paired
     return tuple(
         JointSpec(
             index=index,
@@ -71,7 +77,7 @@ def joints_of(profile, gear_ratio=1.0):
             gear_ratio=gear_ratio,
             inverted=name == "right" and can_reverse(profile),
         )
-        for index, name in enumerate(("left", "right"))
+        for index, name in enumerate(names_of(joints))
     )
 
 
@@ -115,7 +121,9 @@ def engine_of(profile, folder):
     return "rt" if profile.protocol in ON_RT or folder.name == "rt" else "asyncio"
 
 
-def line_of(profile, port="", engine="asyncio", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0):
+def line_of(
+    profile, port="", engine="asyncio", cycle_hz=50.0, watchdog_s=0.5, gear_ratio=1.0, joints=2
+):
     return LineSpec(
         index=0,
         name="bus",
@@ -128,7 +136,7 @@ def line_of(profile, port="", engine="asyncio", cycle_hz=50.0, watchdog_s=0.5, g
         gap_s=None,
         engine=engine,
         priority=0,
-        joints=joints_of(profile, gear_ratio),
+        joints=joints_of(profile, gear_ratio, joints),
         text=TEXT if profile.protocol == "ascii" else None,
         watchdog_s=watchdog_s,
     )
@@ -138,10 +146,15 @@ LIGHT = WheelModel(inertia_kg_m2=0.03)
 """Wheel that friction brings to rest in 0.6 s, for tests in real time."""
 
 
-def rig_of(profile, folder, *, gear_ratio=1.0, model=None, **options):
+def rig_of(profile, folder, *, gear_ratio=1.0, model=None, joints=2, **options):
     wheel = {"wheel_radius_m": 0.1, "model": model or WheelModel()}
-    wheels = {name: WheelSpec(side=name, **wheel) for name in ("left", "right")}
-    line = line_of(profile, engine=engine_of(profile, folder), gear_ratio=gear_ratio)
+    sides = ("left", "right") * joints
+    wheels = {
+        name: WheelSpec(side=side, **wheel)
+        for name, side in zip(names_of(joints), sides, strict=False)
+    }
+    engine = engine_of(profile, folder)
+    line = line_of(profile, engine=engine, gear_ratio=gear_ratio, joints=joints)
     if profile.can is not None:
         options["can"] = can_address(folder)
     spec = RigSpec(robot="bench", track_m=0.5, lines=(line,), wheels=wheels, **options)
@@ -174,11 +187,11 @@ def without_power(control, *units):
         control.inject(f"reboot:unit={unit},for_s=0")
 
 
-def spec_of(profile, folder):
+def spec_of(profile, folder, **options):
     """Return the line that drives what `simulated` simulates."""
     port = can_address(folder) if profile.can is not None else folder / "bus"
-    engine = engine_of(profile, folder)
-    return line_of(profile, port, engine, cycle_hz=CYCLE_HZ, watchdog_s=WATCHDOG_S, gear_ratio=GEAR)
+    options = {"cycle_hz": CYCLE_HZ, "watchdog_s": WATCHDOG_S, "gear_ratio": GEAR, **options}
+    return line_of(profile, port, engine_of(profile, folder), **options)
 
 
 class Bench:

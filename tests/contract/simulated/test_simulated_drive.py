@@ -194,6 +194,28 @@ async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
         await until(lambda joint=joint: missed(joint) <= 2.0, "the counts of the truth")
 
 
+def signed_current(profile):
+    """Return whether a current with a sign arrives here: the text of these tests has none, and that
+    of a RoboClaw does not come. tests/unit/fieldbus/test_inverted_joint.py has all drives."""
+    name = profile.channels[1].current
+    seen = profile.protocol not in ("ascii", "roboclaw")
+    return seen and name is not None and profile.registers[name].type.signed
+
+
+@pytest.mark.parametrize("variant", each_that(signed_current), indirect=True)
+async def test_the_current_of_a_joint_is_positive_while_it_is_pushed_forward(rig, sim, profile):
+    """Also that of the right motor, which is mounted in reverse."""
+    await set_off(rig, sim)
+    for unit in {joint.unit for joint in rig.line.spec.joints}:
+        sim.inject(f"blocked:unit={unit}")
+    for joint in rig.line.spec.joints:
+        await until(
+            lambda joint=joint: abs(feedback(rig, joint).current_a) > 0.05, "it draws a current"
+        )
+        assert sim.truth().joints[joint.name].current_a > 0.0
+        assert feedback(rig, joint).current_a > 0.0, joint.name
+
+
 async def test_a_disarmed_drive_comes_to_rest_and_follows_no_set_point(rig, sim, profile):
     await set_off(rig, sim)
     await rig.line.disarm()

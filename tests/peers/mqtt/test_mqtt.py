@@ -15,7 +15,7 @@ import pytest
 from tests.peers.light import LIGHT
 from tests.peers.mqtt.mosquitto import broker, certified, needs_mosquitto, stamp, with_password
 from tests.peers.tokens import TOKEN, token_file
-from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, release_sources, running, wait_until
 
 from motord.bus.messages.topics import TOPICS
 
@@ -132,6 +132,7 @@ def armed(stage, peer):
         return stage.state() == "armed"
 
     wait_until(attempt, "armed")
+    release_sources(stage)
 
 
 def test_odometry_on_the_broker_is_that_of_the_daemon(stage, peer):
@@ -287,7 +288,7 @@ def test_an_unknown_call_is_answered_with_the_known_ones(stage, peer):
 
 def test_an_emergency_stop_by_the_broker_is_latched(stage, peer):
     armed(stage, peer)
-    assert called(stage, peer, "estop")["result"] == {"state": "estop"}
+    assert called(stage, peer, "estop")["result"]["state"] == "estop"
     assert stage.state() == "estop"
     assert called(stage, peer, "reset")["result"] == {"state": "idle"}
 

@@ -10,7 +10,7 @@ import pytest
 from tests.peers.light import LIGHT
 from tests.peers.mqtt.mosquitto import needs_mosquitto, stamp
 from tests.peers.tokens import TOKEN, token_file
-from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, release_sources, running, wait_until
 
 pytestmark = needs_mosquitto
 
@@ -81,6 +81,7 @@ def test_dcmd_carries_commands_and_ncmd_carries_calls(stage, peer):
     def moving():
         if stage.state() not in ("armed", "moving"):
             wait_until(armed, "armed")
+            release_sources(stage)
         twist = {"linear": {"x": 0.2}, "angular": {"z": 0.0}}
         peer.pub(device, {"token": TOKEN, "header": stamp(), "twist": twist})
         return stage.state() == "moving"

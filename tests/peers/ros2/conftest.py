@@ -3,7 +3,7 @@
 
 import pytest
 from tests.peers.ros2.ros2_stage import called, settle
-from tests.sim.daemon_stage import wait_until
+from tests.sim.daemon_stage import release_sources, wait_until
 
 
 @pytest.fixture
@@ -14,5 +14,6 @@ def settled(stage):
 @pytest.fixture
 def armed(stage, settled):
     wait_until(lambda: called("arm")["success"], "armed")
+    release_sources(stage)
     yield stage
     settle(stage)

@@ -381,6 +381,10 @@ class MotorStatus(IdlStruct, typename="motord_msgs::msg::dds_::MotorStatus_"):
     state: str
     armed: bool
     at_rest: bool
+    rest: str
+    rest_unknown: sequence[str]
+    rest_unknown_s: sequence[float64]
+    rest_unmeasured: sequence[str]
     faults: sequence[str]
     why: sequence[str]
     reasons: sequence[str]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.peers.ros2.ros2_stage import NAMESPACE, called, inputs, peer, ros2_stage
-from tests.sim.daemon_stage import wait_until
+from tests.sim.daemon_stage import release_sources, wait_until
 
 from motord.bus.confine import REALTIME_PRIORITY_MAX
 from motord.bus.ros2.dds.priority import set_policy
@@ -76,6 +76,7 @@ def test_only_the_receiving_thread_has_real_time_priority(stage):
 )
 def test_a_command_refused_by_the_gate_is_counted_and_moves_nothing(stage, words, why):
     wait_until(lambda: called("arm")["success"], "armed")
+    release_sources(stage)
     before, x_m = ours(stage)["refused"], stage.sim.truth().x_m
 
     def refused(count):
@@ -98,6 +99,7 @@ def test_a_command_refused_by_the_daemon_is_counted_there_and_moves_nothing(
         return stage.robot.status()["commands"]["refused"][reason]
 
     wait_until(lambda: called("arm")["success"], "armed")
+    release_sources(stage)
     before, x_m = refused(), stage.sim.truth().x_m
     with peer("drive", TOPIC, speed, 0.0, age_s):
         wait_until(lambda: refused() > before + 5, reason)
@@ -111,6 +113,7 @@ def test_commands_by_dds_and_by_python_go_out_under_one_lease(stage):
         return stage.robot.status()["commands"]["refused"]["sequence"]
 
     wait_until(lambda: called("arm")["success"], "armed")
+    release_sources(stage)
     before, sent = out_of_order(), ours(stage)["sent"]
     with (
         peer("drive", TOPIC, 0.1, 0.0),
@@ -127,6 +130,7 @@ def test_commands_stop_while_python_stands_still_and_resume_with_it(stage):
         return stage.robot.status()["commands"]["accepted"]
 
     wait_until(lambda: called("arm")["success"], "armed")
+    release_sources(stage)
     lost = ours(stage)["lost"]
     with peer("drive", TOPIC, 0.3, 0.0):
         wait_until(lambda: not stage.robot.status()["at_rest"], "it drives")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from tests.peers.ros2.ros2_stage import NAMESPACE, called, peer, ros2_stage, settle
-from tests.sim.daemon_stage import wait_until
+from tests.sim.daemon_stage import release_sources, wait_until
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
 
@@ -55,6 +55,7 @@ def test_fast_dds_turns_the_wheels(fast, stage):
         return [joints[name].velocity_rad_s for name in ("left", "right")]
 
     wait_until(lambda: called("arm")["success"], "armed")
+    release_sources(stage)
     with fast("joints", f"rt{NAMESPACE}/joint_commands", 1.0, 2.0):
         wait_until(lambda: speeds() == pytest.approx([1.0, 2.0], abs=0.2), "the wheels' speeds")
     wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
@@ -63,6 +64,7 @@ def test_fast_dds_turns_the_wheels(fast, stage):
 
 def test_fast_dds_reads_odometry_and_drives_the_robot(fast, stage):
     wait_until(lambda: called("arm")["success"], "armed")
+    release_sources(stage)
     with (
         fast("odom", f"rt{NAMESPACE}/odom") as ear,
         fast("drive", f"rt{NAMESPACE}/cmd_vel", 0.3, 0.0),

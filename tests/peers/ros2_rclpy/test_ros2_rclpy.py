@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """motord-bus with nodes of a real rclpy on rmw_fastrtps_cpp, from wheels of ROS 2."""
 
+import contextlib
 import json
 from pathlib import Path
 
 import pytest
 from tests.peers.ros2.ros2_stage import NAMESPACE, peer, ros2_stage, settle
 from tests.peers.ros2_rclpy.rclpy_real import DISTRIBUTIONS, environ_of, made
-from tests.sim.daemon_stage import wait_until
+from tests.sim.daemon_stage import UNHURRIED, armed, wait_until
 
 from motord.bus.messages.table import TYPES, type_hash
+from motord.client import ClientError
 
 pytest.importorskip("cyclonedds", reason="needs cyclonedds")
 
@@ -22,7 +24,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory):
-    with ros2_stage(tmp_path_factory.mktemp("ros2")) as stage:
+    with ros2_stage(tmp_path_factory.mktemp("ros2"), *UNHURRIED) as stage:
         yield stage
 
 
@@ -92,6 +94,21 @@ def test_the_estop_topic_stops_the_robot_and_names_the_node(node, stage):
         wait_until(
             lambda: any(why.startswith(reason) for why in stage.robot.status()["why"]), "the reason"
         )
+    settle(stage)
+
+
+def test_the_stop_topic_holds_a_source_that_drives(node, stage):
+    settle(stage)
+    with armed(stage), stage.client() as robot:
+
+        def held():
+            with contextlib.suppress(ClientError):
+                robot.drive(0.1, 0.0)
+            return stage.robot.status()["held"]
+
+        robot.drive(0.0, 0.0)
+        with node("say", f"{NAMESPACE}/motord/stop", "a person is too close", "watcher"):
+            wait_until(held, "the stop")
     settle(stage)
 
 

@@ -175,7 +175,7 @@ async def test_a_message_arrives_with_the_name_of_its_node():
 
             def named():
                 sender.publish(SimpleNamespace(linear=three, angular=three))
-                return "/fleet/teleop" in senders
+                return "/fleet/teleop" in [one.name for one in senders]
 
             await until(named)
 

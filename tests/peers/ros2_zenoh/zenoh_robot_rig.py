@@ -8,7 +8,7 @@ import pytest
 from tests.peers.light import LIGHT
 from tests.peers.ros2_zenoh.zenoh_rig import REQUEST, STORE, ask, attached, peer
 from tests.peers.ros2_zenoh.zenoh_router import endpoint, free_port, started
-from tests.sim.daemon_stage import running, wait_until
+from tests.sim.daemon_stage import release_sources, running, wait_until
 
 TRIGGER = (
     "std_srvs::srv::dds_::Trigger_/"
@@ -104,6 +104,7 @@ def lapsed(driver, name):
 @contextlib.contextmanager
 def armed(stage, driver):
     lapsed(driver, "arm")
+    release_sources(stage)
     try:
         yield
     finally:

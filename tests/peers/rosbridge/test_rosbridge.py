@@ -16,7 +16,7 @@ import pytest
 from tests.peers.light import LIGHT
 from tests.peers.mqtt.mosquitto import certified, free_port
 from tests.peers.tokens import TOKEN, token_file
-from tests.sim.daemon_stage import DEADLINE_S, ROOT, running, wait_until
+from tests.sim.daemon_stage import DEADLINE_S, ROOT, release_sources, running, wait_until
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
@@ -115,6 +115,7 @@ async def test_wheels_are_commanded_by_the_joints_names(stage, ports):
             while (state := stage.state()) != "moving":
                 if state != "armed":
                     wait_until(armed, "armed")
+                    release_sources(stage)
                 await client.send(json.dumps(message))
                 await asyncio.sleep(0.05)
     stage.wait_for("armed", "fault")  # "fault": latched by a busy machine
@@ -254,7 +255,7 @@ async def test_a_reader_that_stops_reading_loses_messages_and_disturbs_nothing_e
     narrow.connect(("127.0.0.1", ports[1]))
     tf = {"op": "subscribe", "topic": "/tf"}
     async with (
-        connect(url, sock=narrow, max_queue=1, ping_interval=None) as stuck,
+        connect(url, sock=narrow, max_queue=1, ping_interval=None, compression=None) as stuck,
         connect(url) as other,
     ):
         for topic in ("odom", "joint_states", "motor_status", "tf"):

@@ -185,7 +185,8 @@ class Base:
         self.stale, self.setpoint = ffi.new("uint32_t[8]"), ffi.new("joint_setpoint[8]")
         self.rad = np.zeros(len(self.rows))
         self.now_ns = 1_000_000_000
-        self.step([0] * len(self.rows))
+        # far from zero, where no restart is near: these wheels have no inertia
+        self.step([1 << 40] * len(self.rows))
 
     def step(self, counts, step_ns=20_000_000):
         self.now_ns += step_ns

@@ -13,7 +13,7 @@ from _motord_rt import ffi, lib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motord.api.records import LateralSnapshot, SteeringSnapshot
+from motord.api.records import LateralSnapshot, RestSnapshot, SteeringSnapshot
 from motord.api.snapshot import (
     DERATED_BY,
     SNAPSHOT_VERSION,
@@ -21,6 +21,7 @@ from motord.api.snapshot import (
     DoubtSnapshot,
     ImuSnapshot,
     JointSnapshot,
+    Rest,
     Snapshot,
     SpeedLoopSnapshot,
 )
@@ -38,7 +39,20 @@ def python_fields(kind):
     return [field.name for field in dataclasses.fields(kind)]
 
 
-APART = {"joint", "imu", "doubt", "lateral", "steering", "speed_loop", "derating", "reason"}
+APART = {
+    *(
+        "joint",
+        "imu",
+        "doubt",
+        "lateral",
+        "steering",
+        "speed_loop",
+        "derating",
+        "reason",
+        "rest",
+        "counters",
+    )
+}
 """Fields of robot_state that are structures."""
 
 
@@ -72,6 +86,9 @@ def raw_state():
     for index in range(3):
         raw.speed_loop[index] = {"output_u": 9100 + index, "integral_u": 9200 + index}
     raw.derating = {"since_ns": 9300, "factor": 0.5, "joint": 1, "by": lib.DERATED_BY_VOLTAGE}
+    raw.rest = {"rest": lib.REST_AT_REST, "rest_unmeasured": 9600}
+    raw.rest.rest_unknown_since_ns = list(range(9610, 9618))
+    raw.counters = {"counter_coarse": 9700, "counter_distrusted": 9701}
     raw.reason.since_ns = list(range(9400, 9432))
     raw.reason.saturated_joint = 2
     for place, name in enumerate(JOINT_REASONS):
@@ -91,7 +108,8 @@ JOINT_REASONS = [
 def test_the_names_are_those_of_the_c_struct():
     expected = set(c_fields("robot_state")) - {"joint_count", *APART}
     ours = {"joints", "speed_loops", "version", "imu", "doubt", "derating"}
-    ours |= {*c_fields("lateral_state"), *c_fields("steering_state")}
+    ours |= {*c_fields("lateral_state"), *c_fields("steering_state"), *c_fields("rest_shown")}
+    ours |= {*c_fields("counters_shown")}
     ours |= {"reasons_since_ns", "saturated_joint", "reason_joints"}
     assert set(python_fields(Snapshot)) == expected | ours
     assert python_fields(SpeedLoopSnapshot) == c_fields("speed_loop_shown")
@@ -99,6 +117,7 @@ def test_the_names_are_those_of_the_c_struct():
     assert c_fields("reasons_shown") == ["since_ns", "saturated_joint", *JOINT_REASONS]
     assert list(LateralSnapshot.__annotations__) == c_fields("lateral_state")
     assert list(SteeringSnapshot.__annotations__) == c_fields("steering_state")
+    assert list(RestSnapshot.__annotations__) == c_fields("rest_shown")
     assert python_fields(JointSnapshot) == c_fields("joint_state")
     assert python_fields(ImuSnapshot) == c_fields("imu_state")
     assert python_fields(DoubtSnapshot) == c_fields("feedback_doubt")
@@ -109,9 +128,11 @@ def test_every_field_arrives_in_its_place():
     made = rt._snapshot(raw)
     assert (made.reasons, made.faults) == (("linear_jerk", "command_stale"), ("estop", "state"))
     apart = {"joints", "speed_loops", "version", "reasons", "faults", "imu", "doubt", "derating"}
-    apart |= {"reasons_since_ns", "saturated_joint", "reason_joints"}
+    apart |= {"reasons_since_ns", "saturated_joint", "reason_joints", "rest"}
     where = dict.fromkeys(c_fields("lateral_state"), raw.lateral)
     where |= dict.fromkeys(c_fields("steering_state"), raw.steering)
+    where |= dict.fromkeys(c_fields("rest_shown"), raw.rest)
+    where |= dict.fromkeys(c_fields("counters_shown"), raw.counters)
     for name in set(python_fields(Snapshot)) - apart:
         value = getattr(made, name)
         assert value == type(value)(getattr(where.get(name, raw), name)), name
@@ -126,6 +147,7 @@ def test_every_field_arrives_in_its_place():
     assert made.derating == DeratingSnapshot(since_ns=9300, factor=0.5, joint=1, by="voltage")
     assert made.reasons_since_ns == {word: 9400 + bit for bit, word in REASONS.items()}
     assert made.saturated_joint is None
+    assert made.rest is Rest.AT_REST
     for name in set(python_fields(ImuSnapshot)) - {"state"}:
         value = getattr(made.imu, name)
         assert value == type(value)(getattr(raw.imu, name)), name
@@ -172,6 +194,15 @@ def test_without_a_fault_of_the_feedback_no_joint_is_doubted():
     raw = raw_state()
     raw.doubt.fault = 0
     assert rt._snapshot(raw).doubt is None
+
+
+def test_every_value_of_rest_has_its_word():
+    numbers = {name: getattr(lib, name) for name in dir(lib) if name.startswith("REST_")}
+    raw = raw_state()
+    for name, number in numbers.items():
+        raw.rest.rest = number
+        assert rt._snapshot(raw).rest is Rest[name.removeprefix("REST_")]
+    assert len(numbers) == len(Rest)
 
 
 def test_every_state_of_the_gyro_has_its_word_and_the_imu_is_empty_without_a_gyro():
@@ -228,7 +259,7 @@ def test_json_has_words_lists_and_its_version():
     read = rt._snapshot(raw).to_json()
     assert read["reasons"] == ["linear_jerk", "command_stale"]
     assert read["faults"] == ["estop", "state"]
-    assert read["version"] == SNAPSHOT_VERSION == 1
+    assert read["version"] == SNAPSHOT_VERSION == 2
     assert [joint["jumps"] for joint in read["joints"]] == [raw.joint[n].jumps for n in range(3)]
     assert len(read["pose_covariance"]) == 6
 

@@ -8,6 +8,7 @@ import sys
 import pytest
 from _motord_rt import ffi, lib
 
+from motord.api.snapshot import stamp_is_fresh
 from motord_hal.fieldbus.ports import SETPOINT_TIMEOUT_S
 from motord_hal.realtime.exchange import is_fresh, now_ns
 
@@ -33,6 +34,12 @@ CASES = {
 def test_the_rule_accepts_stamps_that_are_neither_old_nor_from_the_future(case):
     stamp_ns, wanted = CASES[case]
     assert bool(lib.stamp_is_fresh(NOW_NS, stamp_ns, TIMEOUT_NS)) is wanted
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_programs_that_read_the_state_page_judge_by_this_rule(case):
+    stamp_ns, wanted = CASES[case]
+    assert stamp_is_fresh(NOW_NS, stamp_ns, SETPOINT_TIMEOUT_S) is wanted
 
 
 @pytest.mark.parametrize("case", CASES)

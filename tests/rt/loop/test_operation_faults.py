@@ -7,10 +7,11 @@ from dataclasses import replace
 import pytest
 from tests.rt.small_base import core_config, report_wheels, settings, until
 
+from motord.base.log import process_name
 from motord.base.sdnotify import Notifier
 from motord.config import load_robot
 from motord.control.machine import Event, State
-from motord.control.operation import Operation, process_name
+from motord.control.operation import Operation
 from motord.daemon import procedures
 from motord.local_socket.server import Refused
 from motord.realtime import loop as rt

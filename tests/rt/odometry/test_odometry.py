@@ -35,6 +35,8 @@ class Base:
         self.step_ns = step_ns
         for j in (LEFT, RIGHT):
             self.feedback[j].velocity_rad_s = math.nan
+            # far from zero, where no restart is near: these wheels have no inertia
+            self.feedback[j].count = 1 << 30
 
     def take(self) -> None:
         lib.odometry_step(self.state, self.config, self.feedback, self.stale, self.setpoint)

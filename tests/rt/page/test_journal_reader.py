@@ -11,8 +11,11 @@ import zstandard
 from _motord_rt import ffi, lib
 
 from motord.api.page_file import JOURNAL, PageFile
-from motord.bus.messages.journal import Journal
+from motord.bus.messages.journal import Journal, NoJournal
 from motord.realtime.replay import CHECKPOINT_BYTES, RECORD_BYTES, tick_of, tick_of_state
+
+HEADER_BYTES = 64
+EDGES = (0, 1, 7, 63, 64, 256, 4095, 4097, 1 << 31, (1 << 32) - 1)
 
 
 class Writer:
@@ -34,6 +37,12 @@ class Writer:
             self._state.tick += 1
             self._out.tick = self._state.tick
             lib.journal_after(self._journal, self._input, 0.001, self._out, self._snapshot)
+
+    def header(self):
+        return bytes(self._memory[:HEADER_BYTES])
+
+    def put_header(self, header):
+        self._memory[:HEADER_BYTES] = header
 
     def close(self):
         ffi.release(self._journal)
@@ -106,3 +115,27 @@ def test_a_reader_that_fell_behind_resumes_at_a_state_and_counts_the_lost_record
         assert records[0] - 1 in states
         assert records == list(range(records[0], 6011))
         assert journal.take_lost() == records[0] - 11
+
+
+def damaged_headers(whole):
+    """Yield headers with one wrong byte, and with one wrong field."""
+    for place in range(len(whole)):
+        for flip in (0x01, 0x10, 0x80, 0xFF):
+            yield whole[:place] + bytes([whole[place] ^ flip]) + whole[place + 1 :]
+    for value in EDGES:
+        for place in range(8, len(whole), 4):
+            yield whole[:place] + struct.pack("=I", value) + whole[place + 4 :]
+
+
+def test_a_journal_with_a_damaged_header_is_no_journal_or_is_read_all_the_same(written):
+    writer, name = written
+    writer.step(1500)
+    refused = 0
+    for damaged in damaged_headers(writer.header()):
+        writer.put_header(damaged)
+        try:
+            with Journal.open(name) as journal:
+                journal.message()
+        except NoJournal:
+            refused += 1
+    assert refused > 100

@@ -188,3 +188,17 @@ def test_the_c_reader_refuses_what_is_not_a_page(reader, page_file):
     answer = run_reader(reader, page_file)
     assert (answer.returncode, answer.stdout) == (1, "")
     assert "not a page" in answer.stderr
+
+
+@pytest.mark.parametrize("value", [0, 63, 16384, 1 << 31, (1 << 32) - 1])
+@pytest.mark.parametrize("place", [8, 12, 16, 20, 24])
+def test_the_c_reader_refuses_a_damaged_header(reader, page_file, place, value):
+    made = Page()
+    lib.page_init(made.pointer)
+    for tick in range(1, 5):
+        made.write(payload_of(tick))
+    made.bytes[place : place + 4] = struct.pack("=I", value)
+    os.pwrite(page_file.fd, made.bytes[:], 0)
+    answer = run_reader(reader, page_file)
+    assert (answer.returncode, answer.stdout) == (1, "")
+    assert "not a page" in answer.stderr

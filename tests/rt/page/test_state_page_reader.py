@@ -2,9 +2,11 @@
 """The reader in plain Python sees what the C core writes, and nothing where a page is missing or
 incomplete."""
 
+import itertools
 import json
 import mmap
 import os
+import struct
 import threading
 import uuid
 
@@ -34,6 +36,56 @@ def writing(file):
     raw = ffi.from_buffer("char[]", view, require_writable=True)
     assert lib.page_init(raw) == 0
     return raw
+
+
+HEADER_BYTES = 32
+"""The header's layout: everything before the number of snapshots, which changes."""
+EDGES = (0, 1, 7, 63, 64, 4095, 4097, 16383, 16384, 16385, 1 << 31, (1 << 32) - 1)
+
+
+def damaged_headers(whole):
+    """Yield headers with one wrong byte, and with one or two wrong fields."""
+    for place in range(len(whole)):
+        for flip in (0x01, 0x10, 0x80, 0xFF):
+            yield whole[:place] + bytes([whole[place] ^ flip]) + whole[place + 1 :]
+    for value, other in itertools.product(EDGES, EDGES):
+        for first, second in itertools.combinations_with_replacement(range(8, HEADER_BYTES, 4), 2):
+            damaged = bytearray(whole)
+            struct.pack_into("=I", damaged, first, value)
+            struct.pack_into("=I", damaged, second, other)
+            yield bytes(damaged)
+
+
+def test_a_page_with_a_damaged_header_is_no_page_or_is_read_all_the_same(page):
+    name, _, file = page
+    raw = writing(file)
+    state = ffi.new("robot_state *")
+    for _ in range(5):
+        lib.page_write(raw, state)
+    refused = 0
+    for damaged in damaged_headers(os.pread(file.fileno(), HEADER_BYTES, 0)):
+        os.pwrite(file.fileno(), damaged, 0)
+        try:
+            with StatePage.open(name) as reader:
+                reader.read()
+        except NoPage:
+            refused += 1
+    assert refused > 1000
+
+
+def test_a_reader_whose_page_gets_another_layout_reads_nothing_and_knows_that_it_is_gone(page):
+    name, _, file = page
+    raw = writing(file)
+    lib.page_write(raw, ffi.new("robot_state *"))
+    whole = os.pread(file.fileno(), HEADER_BYTES, 0)
+    with StatePage.open(name) as reader:
+        for damaged in damaged_headers(whole):
+            os.pwrite(file.fileno(), damaged, 0)
+            if damaged[: HEADER_BYTES - 4] != whole[: HEADER_BYTES - 4]:
+                assert (reader.read(), reader.gone) == (None, True)
+        os.pwrite(file.fileno(), whole, 0)
+        assert reader.read() is not None
+        assert not reader.gone
 
 
 @given(raw=st.binary(min_size=ffi.sizeof("robot_state"), max_size=ffi.sizeof("robot_state")))

@@ -213,7 +213,8 @@ def test_diagonally_swapped_mecanum_wheels_are_found(tmp_path):
 def test_counts_per_turn_that_are_wrong_are_named_with_their_factor(tmp_path):
     file = copied(tmp_path)
     counts = load_robot(file).profiles["zlac8015d"].counts_per_turn
-    truth = (f"joint.left.counts_per_turn={2 * counts}",)
+    differs = 'joint.left.differs_in=["counts_per_turn"]'
+    truth = (f"joint.left.counts_per_turn={2 * counts}", differs)
     with robot_of(tmp_path, file, truth=truth) as stage:
         with spinning(stage, "left") as screen:
             screen.answer(GROUND, "y")

@@ -13,6 +13,8 @@ from tests.sim.daemon_stage import DEADLINE_S, running, set_off, wait_until
 
 from motord.client import Refused
 
+FAULT = 3
+
 
 @pytest.fixture
 def supervisor(tmp_path):
@@ -62,7 +64,13 @@ def test_a_daemon_that_hangs_feeds_no_watchdog(tmp_path, supervisor):
         received_until(supervisor, "WATCHDOG=1")
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "number",
+    [
+        *(signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2),
+        *(signal.SIGALRM, signal.SIGPWR, signal.SIGRTMAX),
+    ],
+)
 def test_it_ends_at_rest_and_without_power(tmp_path, number):
     with running(tmp_path) as stage:
         moving(stage)
@@ -75,15 +83,36 @@ def test_it_ends_at_rest_and_without_power(tmp_path, number):
         assert log.index("comes to rest") < log.index("off (shutdown") < log.index("ended")
 
 
+@pytest.mark.parametrize("number", [signal.SIGTTIN, signal.SIGTTOU, signal.SIGPIPE, signal.SIGXFSZ])
+def test_a_signal_about_its_output_neither_ends_nor_freezes_it(tmp_path, number):
+    with running(tmp_path) as stage:
+        moving(stage)
+        stage.daemon.send_signal(number)
+        tick = stage.robot.status()["loop"]["ticks"]
+        wait_until(lambda: stage.robot.status()["loop"]["ticks"] > tick + 100, "ticks")
+        assert stage.daemon.poll() is None
+
+
 def test_a_daemon_that_failed_to_switch_its_drives_off_reports_it(tmp_path):
     with running(tmp_path) as stage:
         stage.wait_for("idle")
         stage.robot.arm()
         stage.sim.pull("rs485")
-        assert stage.end() == 0
+        assert stage.end() == FAULT
         log = stage.logged()
         assert "ended, but not all drives are known to be without power: " in log
         assert "at rest and disarmed" not in log
+
+
+def test_a_line_that_is_lost_before_a_forced_end_is_status_3(tmp_path):
+    with running(tmp_path, *SLOW_RAMP) as stage:
+        moving(stage)
+        stage.daemon.send_signal(signal.SIGTERM)
+        wait_until(lambda: "comes to rest" in stage.logged(), "the first signal")
+        stage.robot.close()
+        stage.sim.pull("rs485")
+        assert stage.end() == FAULT
+        assert "not all drives are known to be without power" in stage.logged()
 
 
 SLOW_RAMP = ("limits.linear_deceleration_m_s2=0.06", "limits.linear_m_s3=inf")
@@ -127,7 +156,7 @@ def test_a_base_that_coasts_when_the_command_ends_is_disarmed(tmp_path):
         assert stage.robot.status()["faults"] == []
 
 
-def test_without_a_port_it_waits_logs_it_once_and_ends_cleanly(tmp_path):
+def test_without_a_port_it_waits_logs_it_once_and_ends_with_status_3(tmp_path):
     with running(tmp_path, simulated=False) as stage:
         wait_until(lambda: "nothing" in stage.logged(), "the port is missed")
         with pytest.raises(Refused, match="not ready"):
@@ -135,7 +164,7 @@ def test_without_a_port_it_waits_logs_it_once_and_ends_cleanly(tmp_path):
         found = stage.robot.status()
         assert found["state"] == "configuring"
         assert found["lines"]["rs485"]["state"] == "closed"
-        assert stage.end() == 0
+        assert stage.end() == FAULT
         assert (
             len([line for line in stage.logged().splitlines() if "there is no such port" in line])
             == 1
@@ -148,7 +177,7 @@ def test_one_json_object_reports_the_socket_and_the_state_page(tmp_path):
         assert ready["pid"] == stage.daemon.pid
         assert ready["socket"] == str(stage.socket)
         assert Path(ready["state_page"]).exists()
-        assert stage.end() == 0
+        assert stage.end() == FAULT
         stage.daemon.stdout.close()
     assert not Path(ready["state_page"]).exists()
 

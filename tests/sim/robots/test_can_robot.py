@@ -26,3 +26,17 @@ def test_a_can_robot_drives_its_course_and_stops_cleanly(tmp_path, name, profile
     assert report["clean_exit"]
     assert report["odometry"]["distance_m"] > 1.0
     assert report["odometry"]["distance_error_percent"] < 5.0
+
+
+@pytest.mark.long
+def test_two_kinds_of_drives_with_one_number_share_a_bus(tmp_path):
+    """An ODrive and a VESC may both be number 1: their identifiers have 11 and 29 bits."""
+    file = patient_on_can(tmp_path, "odrive-two", "odrive-0.6")
+    text = file.read_text("utf-8")
+    right = text.index("[joint.right]")
+    vesc = text[right:].replace('"./patient.toml"', '"vesc"').replace("unit = 2", "unit = 1")
+    file.write_text(text[:right] + vesc, encoding="utf-8")
+    report = run_demo(file, load_robot(file), 8.0, lambda text: None).to_json()
+    assert report["safety"]["final_state"] == "idle"
+    assert report["safety"]["faults"] == []
+    assert report["odometry"]["distance_error_percent"] < 5.0

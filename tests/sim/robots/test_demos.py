@@ -44,6 +44,7 @@ def patient(name):
     robot = load_robot(path)
     yield "safety.feedback_timeout_s=3.0"
     yield "safety.heartbeat_timeout_s=5.0"
+    yield "safety.timeout_travel_max_m=1000.0"
     if any(robot.profiles[joint.drive].watchdog for joint in robot.joint.values()):
         yield "safety.drive_watchdog_s=2.0"
     if robot.imu is not None:

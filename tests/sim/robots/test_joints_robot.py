@@ -89,7 +89,13 @@ def test_a_stop_leaves_no_target_behind(armed):
     [
         (lambda robot: robot.joints({"roll": 0.1}), "there is no joint 'roll'"),
         (lambda robot: robot.joints({}, {"pan": 0.1}), "takes positions"),
-        (lambda robot: robot.joints({"pan": 90.0}), "check the unit"),
+        *(
+            (
+                lambda robot, value=value: robot.joints({"pan": value}),
+                r"pan = \S+ is beyond its range, -1.5 to 1.5 rad: .*Check the unit",
+            )
+            for value in (90.0, 10.0, 1.7, -1.7)
+        ),
         (lambda robot: robot.drive(0.1, 0.0), "no base that drives"),
     ],
 )
@@ -123,11 +129,11 @@ def test_status_names_joints_and_their_angles(armed):
 
 def test_status_names_the_joint_that_its_range_limits(armed):
     def named():
-        armed.robot.joints({"pan": 5.0}, lease_s=LEASE_S)
+        armed.robot.joints({"pan": 5.0}, clamp=True, lease_s=LEASE_S)
         return re.search(r"reasons +.*joint_position of pan for \d", shown(armed))
 
     wait_until(named, "the reason in the text")
-    armed.robot.joints({"pan": 5.0}, lease_s=LEASE_S)
+    armed.robot.joints({"pan": 5.0}, clamp=True, lease_s=LEASE_S)
     status = armed.robot.status()
     assert status["limited"]["joint_position"]["joints"] == ["pan"]
     assert status.limited["joint_position"].joints == ("pan",)

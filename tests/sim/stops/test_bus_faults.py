@@ -12,7 +12,7 @@ from tests.sim.daemon_stage import obeying, running, wait_until
 from tests.sim.planted import Planted
 
 BACK_WITHIN_S = 60.0
-"""Longest time until another motord-bus runs; one that hangs is replaced after 10 s."""
+"""Longest time until another motord-bus runs; one that hangs is replaced after 2 s."""
 FORK_FAULTS = 600
 """Page faults of the loop that one fork of the daemon would cause (docs/architecture.md)."""
 CYCLES = 20

@@ -15,7 +15,18 @@ import can
 import pytest
 import scservo_sdk
 from pymodbus.client import ModbusTcpClient
-from tests.sim.daemon_stage import DEADLINE_S, ROBOT, ROOT, running, set_off, wait_until
+from tests.relay import Relay
+from tests.sim.daemon_stage import (
+    DEADLINE_S,
+    ROBOT,
+    ROOT,
+    SURE,
+    becomes_idle,
+    rests,
+    running,
+    set_off,
+    wait_until,
+)
 
 from motord.tools.simulator import start_simulator
 from motord_hal.can.unix_client import UnixClient
@@ -101,27 +112,10 @@ def test_drives_of_a_killed_daemon_stop_and_lose_their_power(stage):
     stage.end(signal.SIGKILL)
     assert not stage.sim.truth().at_rest
     status, lines = stop_all(stage.port)
-    assert (status, lines[0]["problems"]) == (0, [])
+    assert (status, lines[0]["problems"], lines[0]["rest_unknown"]) == (0, [], [])
     truth = stage.sim.truth()
     assert not any(joint.enabled for joint in truth.joints.values())
-    wait_until(lambda: stage.sim.truth().at_rest, "the wheels rest")
-
-
-@pytest.fixture
-def where_it_looks(tmp_path, monkeypatch):
-    """The folder in which stop-all looks for running robots."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    folder = tmp_path / "motord"
-    folder.mkdir(mode=0o700)
-    return folder
-
-
-@pytest.fixture
-def own_file(tmp_path):
-    """A copy of the robot file, for a test to edit."""
-    robot = tmp_path / "own.toml"
-    robot.write_text(ROBOT.read_text(encoding="utf-8"), encoding="utf-8")
-    return robot
+    assert truth.at_rest, "it was seen at rest"
 
 
 @pytest.mark.parametrize("edited", ["[robot", "", None], ids=["half saved", "empty", "removed"])
@@ -191,28 +185,6 @@ def test_a_missing_adapter_is_reported(tmp_path):
     assert "there is no such port" in lines[0]["problems"][0]
 
 
-def test_drives_behind_a_gateway_stop_too(tmp_path):
-    robot = tmp_path / "gateway.toml"
-    text = ROBOT.read_text(encoding="utf-8")
-    text = text.replace(
-        'kind = "modbus-rtu"', 'kind = "modbus-tcp"\nhost = "127.0.0.1"\ntcp_port = 1'
-    )
-    robot.write_text(
-        text.replace('port = "/dev/ttyUSB0"\nbaudrate = 115200\n', ""), encoding="utf-8"
-    )
-    with start_simulator(robot, options=("--tcp", "0"), timeout_s=DEADLINE_S) as simulator:
-        port = int(simulator.ports["rs485"].rpartition(":")[2])
-        with ModbusTcpClient("127.0.0.1", port=port) as master:
-            for address, value in ((0x2000, 10000), (0x200D, 3), (0x200E, 8), (0x2088, 60)):
-                master.write_registers(address, [value], device_id=1)
-        wait_until(lambda: not simulator.control.truth().at_rest, "a wheel turns")
-        status, lines = stop_all(f"line.rs485.tcp_port={port}", robot=robot)
-        assert (status, lines[0]["problems"]) == (0, [])
-        truth = simulator.control.truth()
-        assert not any(joint.enabled for joint in truth.joints.values())
-        assert all(abs(joint.velocity_rad_s) < 0.5 for joint in truth.joints.values())
-
-
 def test_can_drives_on_a_bus_that_is_a_socket_stop_too(tmp_path):
     robot = ROOT / "config/robots/odrive-two.toml"
     path = str(tmp_path / "can0")
@@ -253,7 +225,8 @@ def test_an_unexpected_error_on_one_line_does_not_spare_the_others(tmp_path):
     assert status == 3
     assert first["joints"] == ["left"]
     assert "ValueError" in first["problems"][0]
-    assert second == {"line": "second", "joints": ["right"], "problems": []}
+    assert (second["line"], second["joints"], second["problems"]) == ("second", ["right"], [])
+    assert (second["rest_unknown"], second["rest_unmeasured"]) == ([], ["right"])
     running = tmp_path / "left_running"
     assert [int((running / f"pwm{n}/duty_cycle").read_text()[0]) for n in range(2)] == [0, 0]
     assert [int((running / f"pwm{n}/enable").read_text()) for n in range(2)] == [0, 0]
@@ -302,3 +275,77 @@ def test_bus_servos_left_turning_stop_and_lose_their_torque(tmp_path):
         assert (status, lines[0]["problems"]) == (0, [])
         assert not any(joint.enabled for joint in joints())
         wait_until(lambda: simulator.control.truth().at_rest, "the wheels rest")
+
+
+@pytest.fixture
+def behind_a_gateway(tmp_path):
+    """The file of the demonstration's robot with its drives behind a gateway, and that gateway: a
+    relay to the simulated one."""
+    robot = tmp_path / "gateway.toml"
+    text = ROBOT.read_text(encoding="utf-8").replace('kind = "modbus-rtu"', 'kind = "modbus-tcp"')
+    robot.write_text(text.replace('port = "/dev/ttyUSB0"\nbaudrate = 115200\n', ""), "utf-8")
+    anywhere = ("line.rs485.host=127.0.0.1", "line.rs485.tcp_port=1")
+    with (
+        start_simulator(
+            robot,
+            options=("--tcp", "0", *(part for one in anywhere for part in ("--set", one))),
+            timeout_s=DEADLINE_S,
+        ) as simulator,
+        Relay("tcp", tmp_path / "gateway", simulator.ports["rs485"]) as gateway,
+    ):
+        yield robot, simulator, gateway
+
+
+def places(gateway):
+    host, _, port = gateway.front.rpartition(":")
+    return f"line.rs485.host={host}", f"line.rs485.tcp_port={port}"
+
+
+def leave_running(simulator):
+    """Start a wheel, as a daemon that was killed leaves it."""
+    port = int(simulator.ports["rs485"].rpartition(":")[2])
+    with ModbusTcpClient("127.0.0.1", port=port) as master:
+        for address, value in ((0x2000, 10000), (0x200D, 3), (0x200E, 8), (0x2088, 60)):
+            master.write_registers(address, [value], device_id=1)
+    wait_until(lambda: not simulator.control.truth().at_rest, "a wheel turns")
+
+
+@pytest.mark.parametrize("resets", [0, 1, 5])
+def test_drives_behind_a_gateway_that_resets_its_first_connections_stop_too(
+    behind_a_gateway, resets
+):
+    robot, simulator, gateway = behind_a_gateway
+    leave_running(simulator)
+    gateway.reset_at_accept(resets)
+    status, lines = stop_all(*places(gateway), robot=robot)
+    assert (status, lines[0]["problems"]) == (0, [])
+    assert gateway.resets == resets
+    truth = simulator.control.truth()
+    assert not any(joint.enabled for joint in truth.joints.values())
+    assert all(abs(joint.velocity_rad_s) < 0.5 for joint in truth.joints.values())
+
+
+def test_a_gateway_that_resets_every_connection_is_tried_until_time_is_up(behind_a_gateway):
+    robot, _, gateway = behind_a_gateway
+    gateway.reset_at_accept(10_000)
+    status, lines = stop_all(*places(gateway), robot=robot)
+    assert status == 3
+    assert "lost" in lines[0]["problems"][0] or "at once" in lines[0]["problems"][0]
+    assert gateway.resets > 5
+
+
+def test_a_gateway_that_resets_every_connection_does_not_end_the_daemon(behind_a_gateway, tmp_path):
+    robot, simulator, gateway = behind_a_gateway
+    ports = places(gateway)
+    with running(tmp_path, *SURE, robot=robot, simulated=False, ports=ports) as stage:
+        stage.sim = simulator.control
+        stage.wait_for("idle")
+        set_off(stage, SPEED_M_S)
+        gateway.reset_at_accept(6)
+        gateway.reset()
+        wait_until(lambda: gateway.resets > 2, "it resets connections")
+        rests(stage)
+        wait_until(lambda: gateway.resets > 6, "it stops that")
+        becomes_idle(stage)
+        assert stage.end() == 0
+        assert "a bug of motord" not in stage.logged()

@@ -19,7 +19,9 @@ def fuzz(target, runs, seed=SEED):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("target", "runs"), [("guard", 300), ("socket", 150), ("robot-file", 60)])
+@pytest.mark.parametrize(
+    ("target", "runs"), [("guard", 300), ("socket", 150), ("robot-file", 60), ("recording", 200)]
+)
 def test_hostile_inputs_end_in_errors_that_are_handled(target, runs):
     run = fuzz(target, runs)
     assert run.returncode == 0, run.stderr

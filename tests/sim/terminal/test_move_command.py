@@ -66,11 +66,17 @@ def ended_in_time(stage, *words):
     return before, sent
 
 
-def test_a_speed_above_the_limit_is_limited_and_reported(armed):
-    with command(armed, "move", "0.05", "--speed-m-s", "9") as process:
-        status, _, text = ended(process)
-    assert status == 0, text
-    assert "9 m/s is above what the robot may do: limited to 1 m/s" in text
+def test_a_speed_above_the_limit_is_refused_with_the_range(armed):
+    before = armed.sim.truth()
+    for words, why in (
+        (("move", "0.05", "--speed-m-s", "9"), "the speed = 9 is beyond its range, 0 to 1 m/s"),
+        (("turn", "0.1", "--speed-rad-s", "90"), "the speed = 90 is beyond its range, 0 to "),
+    ):
+        with command(armed, *words) as process:
+            status, _, text = ended(process)
+        assert status != 0
+        assert why in text
+    assert armed.sim.truth().distance_m == before.distance_m
 
 
 def test_a_distance_and_a_turn_are_driven(armed):

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 from tests.sim.command_source import INPUTS, Source, free_udp_port, wheels_turn
-from tests.sim.daemon_stage import RETRIED, ROBOT, ROOT, running, wait_until
+from tests.sim.daemon_stage import RETRIED, ROBOT, ROOT, release_sources, running, wait_until
 
 from motord.api.commands import RELEASE, datagram
 from motord.client import ClientError, Refused
@@ -43,6 +43,7 @@ def arm(stage):
 def armed(stage):
     wait_until(lambda: not stage.robot.status()["leases"], "no lease of the test before")
     wait_until(lambda: arm(stage), f"armed\n{stage.logged()}")
+    release_sources(stage)
     yield stage
     stage.robot.stop()
     stage.robot.disarm()

@@ -15,7 +15,10 @@ def rewritten(path, target, change):
     with path.open("rb") as file, target.open("wb") as sink:
         writer = Writer(sink)
         writer.start(profile="ros2", library="test")
-        channel, messages = None, make_reader(file).iter_messages(topics=[JOURNAL])
+        reader = make_reader(file)
+        for one in reader.iter_attachments():
+            writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+        channel, messages = None, reader.iter_messages(topics=[JOURNAL])
         for number, (schema, of, message) in enumerate(messages):
             if channel is None:
                 known = writer.register_schema(schema.name, schema.encoding, schema.data)

@@ -165,6 +165,7 @@ def test_a_signal_while_a_state_page_is_created_leaves_none(tmp_path, number):
 
 def test_a_replay_over_a_running_robot_is_refused(recording, tmp_path):
     with running(tmp_path) as stage:
+        wait_until(lambda: stage.robot.status()["at_rest"], "rest is seen")
         name = stage.robot.status()["robot"]
         result = command(recording, "--publish", ROBOT, "--set", f"robot.name={name}", status=1)
         assert "living daemon" in result.stderr

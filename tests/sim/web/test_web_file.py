@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The robot file by the dashboard's socket: which page reads and writes it, what is refused."""
 
-import asyncio
 import contextlib
 import hashlib
 import os
@@ -11,7 +10,14 @@ import aiohttp
 import pytest
 from tests.sim.daemon_stage import SLOW, becomes_idle
 from tests.sim.person_stage import copied
-from tests.sim.web.web_page import bus_children, ended, free_port, pages, with_dashboard
+from tests.sim.web.web_page import (
+    CLOSING,
+    bus_children,
+    ended,
+    free_port,
+    pages,
+    with_dashboard,
+)
 
 from motord.config import load_robot
 from motord_hal.base.bounded import TOML_BYTES_MAX
@@ -71,7 +77,7 @@ async def test_a_page_without_the_right_token_gets_and_writes_nothing(stage, con
             found = await page.answer(call, text="", sha256=sha256(stage))
             assert "token" in found["error"]
     else:
-        assert await page.connection.receive_json() == {"refused": "the token is wrong"}
+        assert (await page.receive()).json() == {"refused": "the token is wrong"}
     assert stage.file.read_bytes() == before
 
 
@@ -134,9 +140,8 @@ async def test_a_text_of_maximum_length_is_checked(connect):
 async def test_an_oversized_message_closes_only_its_own_page(connect):
     other, page = await connect(), await connect()
     await page.connection.send_str('"' + "x" * (4 * TOML_BYTES_MAX) + '"')
-    async with asyncio.timeout(100.0):
-        while not page.connection.closed:
-            await page.connection.receive()
+    while (await page.receive()).type not in CLOSING:
+        pass
     assert page.connection.close_code == aiohttp.WSCloseCode.MESSAGE_TOO_BIG
     assert "result" in await other.answer("status")
 

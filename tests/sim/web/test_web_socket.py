@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The dashboard's socket, used by a program without a browser."""
 
+import asyncio
 import json
 import signal
 import struct
@@ -11,7 +12,9 @@ import urllib.request
 import aiohttp
 import pytest
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, becomes_idle
-from tests.sim.web.web_page import ACKNOWLEDGE, free_port, listens, with_dashboard
+from tests.sim.web.web_page import ACKNOWLEDGE, CLOSING, free_port, listens, with_dashboard
+
+from motord.bus.web.adapter import VIEWERS_MAX
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +46,8 @@ async def test_a_page_that_acknowledges_late_gets_the_newest_state(connect):
 
 async def test_a_wrong_token_is_refused_with_a_reason_and_another_site_without_one(connect):
     page = await connect(token="wrong-token-0123456789")
-    assert await page.connection.receive_json() == {"refused": "the token is wrong"}
-    await page.connection.receive()
+    assert (await page.receive()).json() == {"refused": "the token is wrong"}
+    assert (await page.receive()).type in CLOSING
     assert page.connection.close_code == 4401
     with pytest.raises(aiohttp.WSServerHandshakeError) as refused:
         await connect(Origin="https://evil.example")
@@ -65,6 +68,22 @@ async def test_a_page_without_the_token_can_only_look(stage, connect, call):
     assert "token" in (await page.answer(call))["error"]
     assert "result" in await page.answer("status")
     assert stage.state() not in ("armed", "moving", "estop")
+
+
+TOGETHER = 16
+"""Half of what the server keeps of connections without a request."""
+
+
+async def test_pages_without_the_token_leave_the_owners_places_free(stage, connect):
+    refused = []
+    for _ in range(VIEWERS_MAX // TOGETHER + 1):
+        some = (connect(token=None) for _ in range(TOGETHER))
+        found = await asyncio.gather(*some, return_exceptions=True)
+        refused += [one for one in found if isinstance(one, aiohttp.WSServerHandshakeError)]
+    assert {one.status for one in refused} == {503}
+    owner = await connect()
+    assert (await owner.answer("estop"))["result"]["state"] == "estop"
+    becomes_idle(stage)
 
 
 @pytest.mark.parametrize("call", ["drive", "lease", "release", "", 7, None, ["arm"]])

@@ -14,6 +14,8 @@ from tests.sim.daemon_stage import DEADLINE_S, ROBOT, running, wait_until
 
 TOKEN = "a-token-for-tests-0123456789"
 DRIVE, ACKNOWLEDGE = 1, 2
+CLOSE = aiohttp.ClientWSTimeout(ws_close=1.0)
+CLOSING = {aiohttp.WSMsgType[name] for name in ("CLOSE", "CLOSING", "CLOSED", "ERROR")}
 
 
 def free_port():
@@ -43,17 +45,32 @@ def bus_children(stage, command):
 
 
 class Page:
-    """A page's end of the dashboard's socket."""
+    """A page's end of the dashboard's socket. It always reads, as a browser does: aiohttp answers
+    pings only while its user reads, and motord-bus closes the connection of a silent page."""
 
     def __init__(self, connection, acknowledges):
         self.connection, self.acknowledges = connection, acknowledges
+        self._messages = asyncio.Queue()
+
+    async def read(self):
+        """Keep what arrives for `receive`, up to the closing message."""
+        while True:
+            message = await self.connection.receive()
+            self._messages.put_nowait(message)
+            if message.type in CLOSING:
+                return
+
+    async def receive(self):
+        """Return the next message; the last one is in CLOSING."""
+        async with asyncio.timeout(DEADLINE_S):
+            return await self._messages.get()
 
     async def until(self, wanted):
         """Call `wanted` with each message, decoded JSON or the number of a frame; return its first
         true result."""
         async with asyncio.timeout(DEADLINE_S):
             while True:
-                message = await self.connection.receive()
+                message = await self._messages.get()
                 if message.type is aiohttp.WSMsgType.BINARY:
                     if self.acknowledges:
                         arrived = bytes((ACKNOWLEDGE,)) + message.data[5:9]
@@ -104,7 +121,8 @@ def with_dashboard(folder, port, *settings, robot=ROBOT):
 @contextlib.asynccontextmanager
 async def pages(port):
     """Yield a function that opens connected pages; all pages are closed at the end."""
-    async with aiohttp.ClientSession() as session:
+    async with aiohttp.ClientSession() as session, asyncio.TaskGroup() as readers:
+        opened = []
 
         async def connected(token=TOKEN, acknowledges=True, **headers):
             protocols = ["motord.1"]
@@ -112,7 +130,14 @@ async def pages(port):
                 coded = base64.urlsafe_b64encode(token.encode()).decode().rstrip("=")
                 protocols.append(f"token.{coded}")
             address = f"http://127.0.0.1:{port}/socket"
-            found = await session.ws_connect(address, protocols=protocols, headers=headers)
-            return Page(found, acknowledges)
+            found = await session.ws_connect(
+                address, protocols=protocols, headers=headers, timeout=CLOSE
+            )
+            page = Page(found, acknowledges)
+            opened.append(page)
+            readers.create_task(page.read())
+            return page
 
         yield connected
+        for page in opened:
+            await page.connection.close()

@@ -25,6 +25,17 @@ def test_the_number_of_suppressed_messages_is_logged(caplog, monkeypatch):
     assert caplog.messages == ["not understood", "not understood (3 more)"]
 
 
+def test_a_few_messages_are_written_at_once_before_the_rest_is_counted(caplog, monkeypatch):
+    voice = limited.RateLimitedLog(logging.getLogger("test"), at_once=2)
+    for number in range(5):
+        voice.say(f"stop {number}")
+    now_s = limited.time.monotonic()
+    monkeypatch.setattr(limited.time, "monotonic", lambda: now_s + limited.AGAIN_S)
+    voice.say("stop 5")
+    voice.say("stop 6")
+    assert caplog.messages == ["stop 0", "stop 1", "stop 5 (3 more)", "stop 6"]
+
+
 @pytest.fixture
 def library():
     """The log of a library that logs each message that it drops, as aiomqtt does."""

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.unit.messages.bus_views import BODY, LOOP, message, view
+from tests.unit.messages.bus_views import BODY, LOOP, MS, imu, joint, message, view
 
 from motord.bus.adapters import INPUT_POINTS, INPUTS, PUBLISHER_POINTS, PUBLISHERS, find
 from motord.bus.commands import link
@@ -32,7 +32,7 @@ DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
 DEADLINE_S = 20.0
 BATTERY = {
     "state": "normal", "voltage_v": 24.0, "current_a": -1.0, "temperature_c": None,
-    "capacity_ah": 10.0, "cells": 6,
+    "capacity_ah": 10.0, "cells": 6, "stamp_ns": 1 * MS,
 }  # fmt: skip
 
 
@@ -54,6 +54,41 @@ async def test_each_topic_keeps_its_newest_message_and_counts_the_lost():
     assert odom.message["pose"]["pose"]["position"]["x"] == 3.0
     assert tf.message["transforms"][0]["transform"]["translation"]["x"] == 3.0
     assert (feed.dropped, feed.taken) == (4, 2)
+
+
+async def test_a_measurement_is_sent_once_with_one_stamp():
+    feed, found = Feed(BODY, {"odom": 100.0, "tf": 30.0}), []
+    for at_ms in range(1, 200):
+        feed.offer(view(at_ms, odometry_stamp_ns=at_ms // 25 * 25 * MS))
+        if feed._newest:
+            found += await taken(feed, len(feed._newest))
+    stamps = {"odom": [], "tf": []}
+    for topic, sent in found:
+        head = sent["transforms"][0] if topic.name == "tf" else sent
+        stamps[topic.name].append(tuple(head["header"]["stamp"].values()))
+    for times in stamps.values():
+        assert times == sorted(set(times))
+    assert set(stamps["tf"]) < set(stamps["odom"])
+    assert len(stamps["odom"]) == 7, "each measurement, as soon as there is one"
+
+
+async def test_an_older_measurement_than_the_last_one_is_not_sent():
+    feed = Feed(BODY, {"imu": 1000.0, "diagnostics": 1000.0})
+    stamps = []
+    for at_ms, sample_ms in ((1, 9), (10, 8), (20, 9), (30, 10)):
+        feed.offer(view(at_ms, imu=imu(sample_ms)))
+        found = await taken(feed, len(feed._newest))
+        stamps += [one.message["header"]["stamp"] for one in found if one.topic.name == "imu"]
+    assert len(stamps) == 2
+
+
+async def test_robots_of_another_file_are_counted_as_lost_and_offers_go_on():
+    feed = Feed(BODY, {"joint_states": 1000.0, "diagnostics": 1000.0})
+    feed.offer(view(1, joints=(joint(),)))
+    assert feed.dropped == 1
+    feed.offer(view(20))
+    found = await taken(feed, 2)
+    assert {one.topic.name for one in found} == {"joint_states", "diagnostics"}
 
 
 async def test_a_message_that_a_bus_cannot_encode_is_lost_and_the_next_is_sent():

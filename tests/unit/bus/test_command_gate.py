@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tests.unit.bus.gate_rig import DEMO, gate
 
 from motord.bus.commands.gate import FUTURE_S, OLD_S, NotTaken, short, tag
+from motord.bus.commands.senders import Sender
 
 NUMBERS = st.floats() | st.integers() | st.just(10**400) | st.just(-(10**400))
 JSON = st.recursive(
@@ -168,6 +169,21 @@ def test_a_stamp_of_zero_counts_as_no_stamp(stamped, unstamped):
     with pytest.raises(NotTaken, match="stamp is zero"):
         stamped._wheels(message)
     assert unstamped._wheels(message) == ([0.0, 0.0], 0.0)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_velocity_of_a_joint_that_is_not_a_number_is_logged_once_with_its_sender(
+    tmp_path_factory, value, caplog
+):
+    ours, stamp = gate(tmp_path_factory, stamped=True), {"sec": int(time.time()), "nanosec": 0}
+    message = {"header": {"stamp": stamp}, "name": ["left", "right"], "velocity": [1.0, value]}
+    for _ in range(100):
+        with pytest.raises(NotTaken, match="no lease"):
+            ours.drive_joints(message, sender=Sender("/panel", key=1))
+    lines = [line for line in caplog.messages if "joint_commands" in line]
+    assert lines == [
+        "input.fleet: /panel requests by joint_commands what is not a number, so it counts as zero"
+    ]
 
 
 @pytest.mark.parametrize("topic", ["odom", "", "cmd_vel/"])

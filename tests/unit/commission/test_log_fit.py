@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fit of the geometry to recordings with poses that an external system measured."""
 
+import contextlib
 import math
+import random
 
 import numpy as np
 import pytest
@@ -174,5 +176,26 @@ def test_a_recording_without_the_topic_names_those_that_it_has(tmp_path):
 def test_a_file_that_is_no_recording_is_refused(tmp_path):
     file = tmp_path / "log.mcap"
     file.write_bytes(b"time_s,x_m\n0,0\n")
-    with pytest.raises(Failed, match="cannot be read"):
+    with pytest.raises(Failed, match="not a complete MCAP file"):
         read_mcap(file, "/ground_truth", SIDES, RADII_M)
+
+
+@pytest.mark.parametrize("kind", ["mcap", "csv"])
+def test_a_damaged_file_is_read_or_refused_with_a_reason(tmp_path, kind):
+    columns, dice, usable = recorded(0, path_m=2.0), random.Random(1), 0
+    file = tmp_path / f"log.{kind}"
+    good = (recording if kind == "mcap" else written)(file, columns).read_bytes()
+    for _ in range(300):
+        damaged = bytearray(good)
+        for _ in range(dice.randint(1, 3)):
+            damaged[dice.randrange(len(damaged))] ^= 1 << dice.randrange(8)
+        file.write_bytes(
+            bytes(damaged[: dice.choice((len(damaged), dice.randrange(len(damaged))))])
+        )
+        with contextlib.suppress(Failed):
+            if kind == "mcap":
+                read_mcap(file, "/ground_truth", SIDES, RADII_M)
+            else:
+                read_csv(file, SIDES, RADII_M)
+            usable += 1
+    assert 0 < usable < 270

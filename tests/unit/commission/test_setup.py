@@ -86,6 +86,8 @@ def test_every_kind_of_line_makes_a_file_that_passes_the_check(drive):
     given = replace(WHOLE, drive=drive, left=(1, 1), right=(2, 1), counts_per_turn=4096)
     if drive in ("zlac8015d", "mcu-velocity", "roboclaw"):
         given = replace(given, right=(1, 2))
+    if drive == "roboclaw":
+        given = replace(given, left=(128, 1), right=(128, 2))
     if drive in ("odrive-0.6", "moteus", "bld-305s"):
         given = replace(given, counts_per_turn=None)
     _, robot = written(given)

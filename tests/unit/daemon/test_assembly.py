@@ -15,6 +15,7 @@ from motord.realtime import loop as rt
 from motord.realtime.loop import SpeedLoopKind
 
 DEFINITIONS = robot_schema()["$defs"]
+DIFFERS = 'joint.left.differs_in=["counts_per_turn", "wheel_radius_m"]'
 ROBOTS = Path(__file__).resolve().parents[3] / "config/robots"
 
 
@@ -41,7 +42,7 @@ def test_a_count_is_an_angle_of_the_wheel_and_its_sign_is_the_robots_forward(gea
 
 
 def test_a_joints_own_encoder_and_radius_outrank_the_profile_and_the_base():
-    overrides = ["joint.left.counts_per_turn=1000", "joint.left.wheel_radius_m=0.08"]
+    overrides = ["joint.left.counts_per_turn=1000", "joint.left.wheel_radius_m=0.08", DIFFERS]
     _, _, config = assembled("demo", *overrides)
     left, right = config["joint"]
     assert left["rad_per_count"] == pytest.approx(2 * math.pi / 1000, rel=1e-15)

@@ -43,6 +43,10 @@ async def until(condition):
             await asyncio.sleep(0.01)
 
 
+def stand_still(for_s):
+    time.sleep(for_s)
+
+
 @pytest.mark.parametrize(
     "written",
     [
@@ -123,6 +127,24 @@ async def test_a_start_may_take_longer_than_a_silence_later(caplog, monkeypatch)
     async with child(late) as supervisor:
         await until(lambda: supervisor.report()["restarts"] >= 1)
     assert "was silent for 0.2 s" in caplog.text
+
+
+async def test_a_child_that_stands_still_is_ended_without_waiting_for_it(caplog, monkeypatch):
+    monkeypatch.setattr(bus_supervisor, "END_WITHIN_S", 1000.0)
+    async with child(f"os.write(1, {BEAT!r}); os.kill(os.getpid(), 19)") as supervisor:
+        await until(lambda: supervisor.report()["restarts"] >= 1)
+    assert "was silent for 2 s" in caplog.text
+
+
+async def test_time_in_which_the_daemon_stands_still_is_no_silence(caplog):
+    beating = f"import time\nwhile True: os.write(1, {BEAT!r}); time.sleep(0.05)"
+    async with child(beating) as supervisor:
+        await until(lambda: "inputs" in supervisor.report())
+        pid = supervisor.report()["pid"]
+        stand_still(1.5 * bus_supervisor.SILENT_S)
+        await asyncio.sleep(0.5)
+        assert supervisor.report()["pid"] == pid
+    assert "was silent" not in caplog.text
 
 
 async def test_the_child_runs_the_checked_robot_though_the_file_has_changed(tmp_path):

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from motord.api.snapshot import Rest
 from motord.control.machine import TABLE, Event, Facts, Refusal, State, step
 
 GOOD = Facts()
@@ -24,7 +25,7 @@ facts = st.builds(
     stale_joints=st.sampled_from([(), ("left", "right")]),
     drive_faults=st.sampled_from([(), ("left: over-current",)]),
     commanding=st.sampled_from([None, "joystick"]),
-    at_rest=st.booleans(),
+    rest=st.sampled_from(Rest),
 )
 
 
@@ -98,7 +99,7 @@ def test_arming_needs_ready_lines_fresh_feedback_no_drive_fault_and_nothing_driv
 @given(state=st.sampled_from(LATCHED), about=facts)
 def test_reset_needs_the_cause_gone_rest_and_nothing_driving(state, about):
     if step(state, Event.RESET, about) is State.IDLE:
-        assert about.at_rest
+        assert about.rest is not Rest.TURNING
         assert not about.unready_lines
         assert not about.stale_joints
         assert about.commanding is None

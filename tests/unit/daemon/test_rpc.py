@@ -45,6 +45,8 @@ class Host:
             "no": Method(self.refuse),
             "big": Method(lambda caller, _: "x" * 100_000),
             "move": Method(lambda caller, _: "moved"),
+            "huge": Method(lambda caller, _: "x" * (1 << 62), commands=False),
+            "huge act": Method(lambda caller, _: "x" * (1 << 62)),
             "nan": Method(lambda caller, _: float("nan")),
             "estop": Method(lambda caller, _: {"state": "estop"}),
         }
@@ -437,3 +439,26 @@ async def test_other_users_may_read_and_members_of_the_sockets_group_may_command
             assert move["result"] == "moved"
         else:
             assert move["error"]["code"] == -32001
+
+
+async def test_a_request_for_which_no_memory_is_left_ends_its_connection_alone(path):
+    async with hosted(path):
+        peer, other = await Peer.at(path), await Peer.at(path)
+        peer.ask("huge")
+        assert await peer.reader.read() == b""
+        assert (await other.call("add", a=1.0))["result"] == 1.0
+        peer.close()
+        other.close()
+
+
+async def test_an_act_that_runs_out_of_memory_ends_the_server(path):
+    """It may be half done, so the daemon has to end, which takes the power off."""
+    peers = []
+    with pytest.RaisesGroup(MemoryError, flatten_subgroups=True):
+        async with hosted(path) as host:
+            peers.append(await Peer.at(path))
+            peers[0].ask("huge act")
+            await until(lambda: host.closed)
+            await asyncio.sleep(DEADLINE_S)
+    peers[0].close()
+    await peers[0].writer.wait_closed()

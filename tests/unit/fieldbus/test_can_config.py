@@ -122,7 +122,7 @@ def test_a_watchdog_set_by_the_maker_s_tool_is_checked_against_the_robot_file():
     assert "0.5 s is not safety.drive_watchdog_s (0.3 s)" in wrong(
         *both, "safety.drive_watchdog_s=0.3"
     )
-    assert "shorter than two cycles" in wrong("joint.left.drive_watchdog_s=0.015")
+    assert "shorter than three cycles" in wrong("joint.left.drive_watchdog_s=0.015")
 
 
 def test_a_watchdog_that_motord_sets_or_that_is_on_no_can_bus_is_not_reported():
@@ -186,8 +186,8 @@ def test_a_drive_of_another_protocol_is_not_for_this_line():
     assert "speaks modbus-rtu, its line can" in wrong('joint.left.drive="zlac8015d"')
 
 
-def test_a_feedback_time_out_shorter_than_two_samples_is_an_error():
-    assert "two samples" in wrong("safety.feedback_timeout_s=0.015")
+def test_a_feedback_time_out_shorter_than_three_cycles_is_an_error():
+    assert "three cycles" in wrong("safety.feedback_timeout_s=0.015")
 
 
 def test_the_real_time_engine_is_for_the_kernel_s_adapters():

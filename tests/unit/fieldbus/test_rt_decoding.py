@@ -5,7 +5,7 @@ import pytest
 from tests.shipped import shipped_profile
 
 from motord_hal.fieldbus.ports import JointSpec
-from motord_hal.rt_engine.decoding import raw_offset
+from motord_hal.fieldbus.positions import raw_offset
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import asyncio
 import struct
 from pathlib import Path
 
+import can
 import pytest
 
 from motord.config import load_robot
@@ -15,6 +16,7 @@ from motord.tools.trace.decoder import Decoder, rtu_frame
 from motord.tools.trace.exchanges import Exchange, Joiner
 from motord.tools.trace.files import opened, record
 from motord_hal.base.clock import within
+from motord_hal.can.socket_frames import packed
 from motord_hal.ddsm import codec as ddsm
 from motord_hal.fieldbus.open_line import open_line
 from motord_hal.fieldbus.trace import ENTRIES_MAX, PythonTrace
@@ -132,6 +134,26 @@ async def test_a_trace_goes_off_when_no_program_reads_it_any_more(monkeypatch, a
             await asyncio.sleep(0.01)
     with pytest.raises(RpcError, match="there are: rs485"):
         traces.read("nothing", None)
+
+
+def test_frames_of_11_and_of_29_bits_are_not_mixed_up():
+    """0x301 is the heartbeat of ODrive 24, and the speed of VESC 1."""
+    vesc = ("joint.right.drive=vesc", "joint.right.unit=1")
+    robot = load_robot(ROBOTS / "odrive-two.toml", ("joint.left.unit=24", *vesc))
+    decoder = Decoder("can", robot, "can0")
+    for extended, drive, word in ((False, "left", "heartbeat"), (True, "right", "set_rpm")):
+        message = can.Message(arbitration_id=0x301, is_extended_id=extended, data=bytes(8))
+        outward = drive == "right"
+        frame = packed(message)
+        exchange = Exchange(
+            stamp_ns=0, sent=frame if outward else b"", received=b"" if outward else frame
+        )
+        words = decoder.words(exchange)
+        assert words.joint == drive
+        assert words.what.startswith(word)
+    message = can.Message(arbitration_id=0x301, is_extended_id=True, data=bytes(8))
+    words = decoder.words(Exchange(stamp_ns=0, received=packed(message), reply_ns=0))
+    assert (words.joint, words.what) == ("", "301")
 
 
 # ------------------------------------------------------------------------------- boards and servos

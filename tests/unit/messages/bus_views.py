@@ -44,7 +44,10 @@ def view(at_ms, status=None, **changes):
     rest = {"stamp_ns": at_ms * MS, "odometry_stamp_ns": at_ms * MS, "machine_state": 2,
             "reasons": (), "faults": (), "joints": (joint(),) * 2, "owner": 0, "tick": 1,
             "pose_covariance": (0.0,) * 6, "twist_covariance": (0.0,) * 3,
-            "lateral_covariance": (0.0,) * 3}  # fmt: skip
+            "lateral_covariance": (0.0,) * 3, "rest_unknown_since_ns": (0,) * 8,
+            "counter_coarse": 0, "counter_distrusted": 0,
+            "rest": "at_rest" if changes.get("at_rest") else "turning",
+            "rest_unmeasured": 0}  # fmt: skip
     flags = dict.fromkeys(("armed", "enabled", "at_rest", "odometry_degraded"), False)
     return View(snapshot=Snapshot(**values | flags | rest | changes), status=status)
 
@@ -103,7 +106,8 @@ def any_battery(rng):
         for name in ("voltage_v", "current_a", "temperature_c", "capacity_ah")
     }
     state = rng.choice(("normal", "warning", "critical", "unknown"))
-    return {"state": state, **numbers, "cells": rng.choice((None, 1, 2, 7))}
+    stamp_ns = rng.choice((7, rng.randrange(10**9)))
+    return {"state": state, **numbers, "stamp_ns": stamp_ns, "cells": rng.choice((None, 1, 2, 7))}
 
 
 def any_loop(rng):
@@ -132,6 +136,10 @@ def any_view(rng, count):
         imu=any_imu(rng),
         machine_state=rng.randrange(12), owner=rng.choice((0, 1, 2)),
         armed=rng.random() < 0.5, at_rest=rng.random() < 0.5,
+        rest=rng.choice(("unknown", "turning", "at_rest")),
+        counter_coarse=0, counter_distrusted=0,
+        rest_unknown_since_ns=tuple(rng.choice((0, rng.randrange(10**9))) for _ in range(8)),
+        rest_unmeasured=rng.getrandbits(8),
         faults=any_words(rng), reasons=any_words(rng),
         joints=tuple(any_joint(rng) for _ in range(count)),
         pose_covariance=tuple(any_number(rng) for _ in range(6)),

@@ -95,7 +95,13 @@ def test_without_a_distance_a_calibration_ends_at_its_time_out():
 
 @pytest.mark.parametrize(
     "change",
-    [{"joints": (joint(stale=True), joint())}, {"odometry_epoch": 1.0}, {"x_m": math.nan}],
+    [
+        {"joints": (joint(stale=True), joint())},
+        {"odometry_epoch": 1.0},
+        {"x_m": math.nan},
+        {"odometry_stamp_ns": 100 * 10**9},
+        {"stamp_ns": 100 * 10**9},
+    ],
 )
 def test_an_invalid_odometry_gives_nothing(change):
     found = begun("wheel_radius", 2.0).step(state(20, **change), 20_000_000)

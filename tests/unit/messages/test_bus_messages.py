@@ -42,6 +42,8 @@ def snapshot(**changes):
         "reasons": (), "faults": (), "joints": (joint(), joint()), "version": 1, "owner": 0,
         "odometry_epoch": 0, "machine_state": 4, "pose_covariance": (1.0, 2.0, 3.0, 4.0, 5.0, 6.0),
         "twist_covariance": (7.0, 8.0, 9.0), "lateral_covariance": (0.0,) * 3,
+        "rest": "turning", "rest_unknown_since_ns": (0,) * 8, "rest_unmeasured": 0,
+        "counter_coarse": 0, "counter_distrusted": 0,
     }  # fmt: skip
     return Snapshot(**plain | flags | rest | changes)
 
@@ -104,13 +106,28 @@ def test_the_transform_is_the_odometry_and_its_quaternion_has_length_one(heading
     assert 2 * math.atan2(turn.z, turn.w) == pytest.approx(heading_rad)
 
 
-def test_joints_without_feedback_are_left_out_and_the_stamp_is_the_oldest_feedback():
-    now = snapshot(
-        joints=(joint(feedback_age_s=math.inf), joint(position_rad=5.0, feedback_age_s=0.25))
-    )
+@pytest.mark.parametrize(
+    "silent",
+    [joint(feedback_age_s=math.inf), joint(position_rad=7.0, feedback_age_s=8.9, stale=True)],
+    ids=["never", "no more"],
+)
+def test_joints_without_fresh_feedback_are_left_out(silent):
+    now = snapshot(joints=(silent, joint(position_rad=5.0, feedback_age_s=0.25)))
     found = message("joint_states", now)
     assert (found.name, found.position) == (("right",), [5.0])
     assert found.header.stamp == stamp(1_700_000_089, 750_000_000)
+
+
+def test_the_stamp_of_joint_states_is_that_of_the_newest_feedback():
+    ages_s = ((0.25, 0.1), (0.1, 0.25))
+    for pair_s in ages_s:
+        now = snapshot(joints=tuple(joint(feedback_age_s=age_s) for age_s in pair_s))
+        assert message("joint_states", now).header.stamp == stamp(1_700_000_089, 900_000_000)
+
+
+def test_the_battery_has_the_stamp_of_its_measurement():
+    now = snapshot(joints=(joint(voltage_v=24.5, feedback_age_s=0.5), joint(feedback_age_s=0.0)))
+    assert message("battery_state", now).header.stamp == stamp(1_700_000_089, 500_000_000)
 
 
 def test_a_joint_state_keeps_a_velocity_that_is_not_measured_as_nan_in_its_place():
@@ -200,7 +217,9 @@ def test_an_imu_has_its_own_stamp_no_orientation_and_the_variance_that_was_measu
     rate = found.angular_velocity
     assert (rate.x, rate.y, rate.z) == (0.1, 0.2, 0.3)
     diagonal = [found.angular_velocity_covariance[4 * axis] for axis in range(3)]
-    assert diagonal == pytest.approx([1.01e-6] * 3)
+    assert diagonal[2] == pytest.approx(1.01e-6)
+    within_sigma = [0.35**2 <= variance < 0.2 for variance in diagonal[:2]]
+    assert all(within_sigma), "about x and y their zero is in the rate: it was not taken away"
     assert found.linear_acceleration.z == 9.8
     assert found.linear_acceleration_covariance == (0.0,) * 9
 

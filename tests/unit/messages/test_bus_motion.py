@@ -3,6 +3,7 @@
 
 import dataclasses
 import math
+import re
 from collections import deque
 
 import pytest
@@ -26,7 +27,7 @@ class Base:
 
     def __init__(self, axis, bounds, late_steps):
         self.axis, self.bounds = axis, bounds
-        self.speed_u_s, self.distance_u, self.at_ms = 0.0, 0.0, 0
+        self.speed_u_s, self.distance_u, self.at_ms = 0.0, 0.0, 1
         self.fastest_u_s = 0.0
         self._requested = deque([0.0] * late_steps, late_steps + 1)
         self.stops = 0
@@ -104,9 +105,22 @@ def test_the_requested_speed_counts_where_it_is_less_than_the_limit():
     base, motion = begun(Goal(axis="linear", distance_u=1.0, velocity_u_s=0.1))
     carried_out(base, motion)
     assert base.fastest_u_s == pytest.approx(0.1)
-    base, motion = begun(Goal(axis="linear", distance_u=2.0, velocity_u_s=9.0))
+    base, motion = begun(Goal(axis="linear", distance_u=2.0, velocity_u_s=0.5005))
     carried_out(base, motion)
     assert base.fastest_u_s == pytest.approx(BOUNDS.velocity_u_s)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"velocity_u_s": 0.502}, "the speed = 0.502 is beyond its range, 0 to 0.5 m/s"),
+        ({"axis": "angular", "velocity_u_s": 30.0}, "30 is beyond its range, 0 to 0.5 rad/s"),
+        ({"direction_rad": 90.0}, "the direction = 90 is beyond its range, -6.28319 to 6.28319"),
+    ],
+)
+def test_a_speed_and_a_direction_beyond_their_ranges_are_refused_with_range_and_unit(wrong, why):
+    with pytest.raises(ValueError, match=re.escape(why)):
+        planned(Goal(**{"axis": "linear", "distance_u": 1.0} | wrong), BOUNDS)
 
 
 def test_a_turn_of_several_times_round_is_counted_whole():
@@ -149,6 +163,9 @@ def moving():
         ({"odometry_epoch": 1.0}, "reset"),
         ({"x_m": math.nan}, "not a number"),
         ({"odometry_stamp_ns": 1}, "stale"),
+        ({"odometry_stamp_ns": 0}, "stale"),
+        ({"odometry_stamp_ns": 100 * 10**9}, "stale"),
+        ({"stamp_ns": 100 * 10**9}, "stopped publishing"),
     ],
 )
 def test_a_problem_ends_the_motion_at_once_with_a_command_of_zero(change, why):
@@ -303,7 +320,7 @@ def test_a_base_that_does_not_come_to_rest_is_not_waited_for_for_ever():
         step = motion.step(base.snapshot(at_rest=False), base.at_ms * 1_000_000)
         if step.end is not None:
             break
-    assert (step.end, step.why) == (End.ABORTED, "it does not come to rest")
+    assert (step.end, step.why) == (End.ABORTED, "it was not seen to come to rest")
 
 
 def test_a_jerk_limit_makes_a_motion_slow_down_earlier():

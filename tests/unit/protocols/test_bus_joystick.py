@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.sim.daemon_stage import DEADLINE_S, running, wait_until
 
-from motord.bus.joystick.axes import EV_ABS, EV_KEY, EV_SYN, SYN_DROPPED, Codes, Stick
+from motord.bus.joystick.axes import EV_ABS, EV_KEY, EV_SYN, REPEATED, SYN_DROPPED, Codes, Stick
 from motord.config import JoystickInput
 
 evdev = pytest.importorskip("evdev")
@@ -65,6 +65,17 @@ def test_the_emergency_stop_works_whether_or_not_the_dead_man_button_is_held():
     assert not pad.take(EV_KEY, BUTTON, 1)
     assert pad.take(EV_KEY, ESTOP, 1)
     assert not stick().take(EV_KEY, ESTOP, 1), "this one has no such button"
+
+
+def test_a_button_that_is_held_and_repeats_counts_neither_as_pressed_nor_as_released():
+    pad = with_estop()
+    pad.take(EV_KEY, BUTTON, REPEATED)
+    assert not pad.held
+    pad.take(EV_KEY, BUTTON, 1)
+    pad.let_go()  # as after a pause
+    pad.take(EV_KEY, BUTTON, REPEATED)
+    assert not pad.held
+    assert not pad.take(EV_KEY, ESTOP, REPEATED)
 
 
 def test_lost_events_may_have_been_an_emergency_stop():

@@ -76,7 +76,7 @@ def test_no_publisher_is_fed_faster_than_its_rate(rate_hz, gaps_ms):
 
 
 def test_json_is_the_snapshot_with_its_robot_and_its_wall_time():
-    raw = encode("r2", snapshot(40, x_m=1.5), wall_ns=5_000_000_000, now_ns=140 * MS)
+    raw = encode("r2", snapshot(40, x_m=1.5), wall_ns=4_900_000_000)
     found = json.loads(raw)
     assert found["wall_time_s"] == pytest.approx(4.9)
     assert (found["robot"], found["x_m"], found["reasons"]) == ("r2", 1.5, ["command_stale"])
@@ -86,7 +86,7 @@ def test_json_is_the_snapshot_with_its_robot_and_its_wall_time():
 @given(value=st.floats())
 def test_a_snapshot_is_json_whatever_was_measured(value):
     measured = snapshot(x_m=value, joints=(joint(velocity_rad_s=value),))
-    found = json.loads(encode("r2", measured, 0, 0), parse_constant=pytest.fail)
+    found = json.loads(encode("r2", measured, 0), parse_constant=pytest.fail)
     expected = value if math.isfinite(value) else None
     assert found["x_m"] == expected
     assert found["joints"][0]["velocity_rad_s"] == expected

@@ -7,6 +7,7 @@ import pytest
 
 from motord.config import ConfigError, load_robot
 from motord.config.understood import understood
+from motord.config.wiring import line_specs
 from motord.control.assembly import core_config
 from motord.control.joint_names import JointNames
 from motord.local_socket.server import Refused
@@ -60,12 +61,12 @@ def test_each_joint_has_limits_of_its_own_and_the_core_takes_them(loaded):
     assert tilt["position"]["velocity_rad_s"] == 2.0
     assert belt["position"] == {"used": 0}
     assert (belt["own"]["acceleration_u_s2"], belt["own"]["deceleration_u_s2"]) == (20.0, 8.0)
-    rt._core_config(config)
+    rt.raw_config(config)
 
 
 def test_a_single_joint_is_a_robot(loaded):
     robot = loaded(PAN_TILT.partition("[joint.tilt]")[0])
-    rt._core_config(core_config(robot, robot.profiles))
+    rt.raw_config(core_config(robot, robot.profiles))
     assert [joint.takes for joint in understood(robot).joints] == ["position"]
 
 
@@ -134,3 +135,48 @@ def test_a_servo_beyond_the_range_of_its_pulses_is_refused(problems):
     text = (ROBOTS / "ackermann-servo-pwm.toml").read_text("utf-8")
     found = problems("position_max_rad = 0.5", "position_max_rad = 0.9", text)
     assert "joint.steering.position_max_rad: the servo's pulses reach 0.785 rad" in found
+
+
+def with_pan(**keys):
+    """Return the robot file with these keys of its pan joint, an STS3215."""
+    rows, here = [], False
+    for row in PAN_TILT.splitlines():
+        here = row == "[joint.pan]" if row.startswith("[") else here
+        if not (here and row.partition(" ")[0] in keys):
+            rows.append(row)
+        if row == "[joint.pan]":
+            rows += [f"{key} = {value}" for key, value in keys.items()]
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        (
+            {"zero_count": 4095, "position_min_rad": -2.84, "position_max_rad": 2.84},
+            "which goes from 0 to 4095: with this zero_count the joint reaches -6.28 to 0 rad",
+        ),
+        ({"zero_count": 5000}, "5000 is no position of its drive, which counts 12 bits (to 4095)"),
+        ({"velocity_max_rad_s": 30.0}, "30 rad/s is more than drive"),
+        (
+            {"zero_count": 2048, "position_max_rad": 3.2, "inverted": "true"},
+            "with this zero_count the joint reaches -3.14 to 3.14 rad",
+        ),
+    ],
+)
+def test_what_a_joint_cannot_reach_is_refused_with_what_it_can(problems, keys, words):
+    assert words in problems("", "", with_pan(**keys))
+
+
+def test_a_whole_turn_of_a_servo_is_a_range(loaded):
+    loaded(with_pan(zero_count=2048, position_min_rad=-3.1416, position_max_rad=3.14))
+
+
+def test_counts_of_the_joint_make_its_set_point(loaded):
+    """Not those of its profile: a servo behind a belt counts otherwise."""
+    text = with_pan(counts_per_turn=2048, zero_count=1000)
+    for before, after in (("sts3215", "xl430"), ("feetech", "dynamixel")):
+        text = text.replace(before, after)
+    robot = loaded(text)
+    (spec,) = line_specs(robot, robot.profiles)
+    assert [joint.counts_per_turn for joint in spec.joints] == [2048, 4096]

@@ -4,6 +4,8 @@
 from pathlib import Path
 
 import pytest
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
 from motord.config import ConfigError, load_robot
 from motord.config.wiring import line_specs
@@ -189,3 +191,41 @@ def test_the_broadcast_unit_is_refused_for_a_servo(servos):
 
 def test_a_bus_takes_a_baud_rate_that_no_table_has(servos):
     assert spec_of(servos("baudrate = 1000000", "baudrate = 4500000")).baudrate == 4_500_000
+
+
+def test_two_names_of_one_port_are_one_port(load, tmp_path):
+    """Drives of different protocols on one wire would answer each other's frames."""
+    (tmp_path / "ttyUSB0").touch()
+    (tmp_path / "by-id").symlink_to(tmp_path / "ttyUSB0")
+    line = SERIAL.replace("/dev/ttyUSB0", f"{tmp_path}/ttyUSB0")
+    more = f"""[line.other]
+kind = "ddsm"
+port = "{tmp_path}/by-id"
+[line.bus]
+kind = "can"
+interface = "slcan"
+channel = "{tmp_path}/by-id"
+"""
+    found = problems(load, line=line, tail=more)
+    assert 'line.other.port: line "rs485" has this port already' in found
+    assert 'line.bus.channel: line "rs485" has this port already' in found
+
+
+def test_an_adapter_is_one_port_by_its_serial_number_and_by_its_path(load, tmp_path, monkeypatch):
+    (tmp_path / "ttyUSB0").touch()
+    adapter = ListPortInfo(f"{tmp_path}/ttyUSB0")
+    adapter.vid, adapter.pid, adapter.serial_number = 0x0403, 0x6001, "A1"
+    monkeypatch.setattr(list_ports, "comports", lambda: [adapter])
+    line = SERIAL.replace("/dev/ttyUSB0", f"{tmp_path}/ttyUSB0")
+    other = '[line.other]\nkind = "ddsm"\nport = "usb:{}"\n'
+    found = problems(load, line=line, tail=other.format("A1"))
+    assert 'line.other.port: line "rs485" has this port already' in found
+    assert load(line=line, tail=other.format("B2"))  # which is not plugged in
+
+
+def test_a_roboclaw_has_one_of_its_eight_addresses(tmp_path):
+    text = (ROBOTS / "roboclaw.toml").read_text("utf-8")
+    path = tmp_path / "robot.toml"
+    path.write_text(text.replace("unit = 128", "unit = 1"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"1 is not an address of drive .* \(128 to 135\)"):
+        load_robot(path)

@@ -99,7 +99,7 @@ def line_that_says(path, text):
         ),
         (
             "two-single-drives",
-            [("gear_ratio = 20.0", "gear_ratio = 60.0")],
+            [("gear_ratio = 20.0", 'gear_ratio = 60.0\ndiffers_in = ["gear_ratio"]')],
             (
                 'joint.left.velocity_max_rad_s: 8 rad/s is more than drive "bld-305s" can '
                 "(at most 6.981 rad/s)"
@@ -157,16 +157,16 @@ def line_that_says(path, text):
             "demo",
             [("feedback_timeout_s = 0.25", "feedback_timeout_s = 0.039")],
             (
-                'safety.feedback_timeout_s: 0.039 s is shorter than two cycles of line "rs485" '
-                "(at least 0.04 s)"
+                'safety.feedback_timeout_s: 0.039 s is shorter than three cycles of line "rs485" '
+                "(at least 0.06 s): one lost reply and a late one would stop the robot"
             ),
         ),
         (
             "demo",
             [("drive_watchdog_s = 0.5", "drive_watchdog_s = 0.03")],
             (
-                'safety.drive_watchdog_s: 0.03 s is shorter than two cycles of line "rs485" '
-                "(at least 0.04 s)"
+                'safety.drive_watchdog_s: 0.03 s is shorter than three cycles of line "rs485" '
+                "(at least 0.06 s): one lost reply and a late one would stop the robot"
             ),
         ),
         (

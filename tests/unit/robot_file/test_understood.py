@@ -11,6 +11,7 @@ from motord.cli import cli
 from motord.config import load_robot
 from motord.config.understood import understood
 
+DIFFERS = 'joint.left.differs_in=["counts_per_turn", "gear_ratio"]'
 ROBOTS = Path(__file__).resolve().parents[3] / "config/robots"
 
 
@@ -25,7 +26,7 @@ def test_the_wheels_rpm_follows_from_top_speed_and_radius():
 
 def test_a_gear_turns_the_motor_faster_and_a_count_into_less_travel():
     one = found("demo").wheels[0]
-    geared = found("demo", "joint.left.gear_ratio=2.0", "limits.linear_m_s=0.2").wheels[0]
+    geared = found("demo", "joint.left.gear_ratio=2.0", DIFFERS, "limits.linear_m_s=0.2").wheels[0]
     assert geared.motor_rpm == pytest.approx(2.0 * geared.velocity_rpm)
     assert geared.travel_per_count_mm == pytest.approx(one.travel_per_count_mm / 2.0)
 
@@ -67,8 +68,8 @@ def test_defaults_are_those_that_the_file_does_not_give():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (["joint.left.counts_per_turn=12"], "a count is 43.2 mm of travel"),
-        (["joint.left.gear_ratio=0.001"], "the motor turns 0.001 times for a wheel turn"),
+        (["joint.left.counts_per_turn=12", DIFFERS], "a count is 43.2 mm of travel"),
+        (["joint.left.gear_ratio=0.001", DIFFERS], "the motor turns 0.001 times for a wheel turn"),
         (["limits.linear_m_s=5.0", "limits.linear_deceleration_m_s2=1.0"], "m to rest: is there"),
         (["base.wheel_radius_m=0.85"], "0.85 m is a wheel of 1.7 m across: is this right?"),
     ],

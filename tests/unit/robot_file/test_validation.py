@@ -2,7 +2,6 @@
 """A child process reads the robot file, with the same result as pydantic in this process."""
 
 import json
-import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from motord.config import load_robot
+from motord.config.robot_file import handed_over
 
 ROOT = Path(__file__).resolve().parents[3]
 ROBOTS = sorted(ROOT.glob("config/robots/*.toml"))
@@ -45,15 +45,15 @@ def program(lines, *arguments, **more):
 
 
 def test_a_process_without_pydantic_holds_what_pydantic_found():
-    raw = pickle.dumps([load_robot(path) for path in ROBOTS])
+    raw = json.dumps([handed_over(load_robot(path)).decode() for path in ROBOTS]).encode()
     lines = """
-import pickle
 if sys.argv[1] == "plain":
     validation.HERE = False
-robots = pickle.load(sys.stdin.buffer)
+from motord.config.robot_file import handed_over, taken_over
+robots = [taken_over(one.encode()) for one in json.load(sys.stdin)]
 assert ("pydantic" in sys.modules) == (sys.argv[1] != "plain")
 if sys.argv[1] == "plain":  # and what such a process hands over is the same again
-    robots = pickle.loads(pickle.dumps(robots))
+    robots = [taken_over(handed_over(one)) for one in robots]
 inputs = [(one.local_input.enabled, one.commanders()) for one in robots]
 print(json.dumps([inputs, [seen(robot) for robot in robots]]))
 """

@@ -13,6 +13,7 @@ from motord.bus.ros2.services.actions import GOALS_KEPT, ActionServer, Refused, 
 KIND = "motord_msgs/action/DriveDistance"
 NOTHING = SimpleNamespace(distance_m=0.0, turned_rad=0.0, duration_s=0.0, message="")
 NO_ID, NOW = bytes(16), 0
+LOOK_S = 0.005
 
 
 class Node:
@@ -44,9 +45,9 @@ class Node:
 class Bench:
     """A server whose goals last until `go` is set or they are cancelled."""
 
-    def __init__(self, name="drive_distance", turn=None):
+    def __init__(self, name="drive_distance", turn=None, goal_lease_s=None):
         self.node, self.go, self.turn = Node(), asyncio.Event(), turn or Turn()
-        self.server = ActionServer(name, KIND, self.accept, NOTHING, self.turn)
+        self.server = ActionServer(name, KIND, self.accept, NOTHING, self.turn, goal_lease_s)
         self.server.serve(self.node)
 
     async def accept(self, goal):
@@ -57,10 +58,9 @@ class Bench:
 
         async def work(report, cancel):
             report(SimpleNamespace(distance_m=0.0, remaining_m=1.0, speed_m_s=0.0))
-            waits = [asyncio.ensure_future(event.wait()) for event in (self.go, cancel)]
-            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
-            for wait in waits:
-                wait.cancel()
+            while not self.go.is_set() and not cancel.is_set():
+                await asyncio.sleep(LOOK_S)
+                report(SimpleNamespace(distance_m=0.0, remaining_m=1.0, speed_m_s=0.0))
             return (Status.CANCELED if cancel.is_set() else Status.SUCCEEDED), NOTHING
 
         return work
@@ -109,7 +109,7 @@ async def test_a_goal_is_accepted_executed_and_has_a_result():
         m.status_list[0].status for name, m in bench.node.sent if name == "status" and m.status_list
     ]
     assert list(dict.fromkeys(seen)) == [Status.ACCEPTED, Status.EXECUTING, Status.SUCCEEDED]
-    (feedback,) = [message for name, message in bench.node.sent if name == "feedback"]
+    feedback = next(message for name, message in bench.node.sent if name == "feedback")
     assert bytes(feedback.goal_id.uuid) == number(1)
 
 
@@ -227,3 +227,36 @@ async def test_each_reason_of_a_refusal_is_reported_but_not_each_time(caplog):
 @pytest.mark.parametrize("status", [Status.SUCCEEDED, Status.CANCELED, Status.ABORTED])
 def test_the_states_have_the_numbers_of_action_msgs(status):
     assert {Status.SUCCEEDED: 4, Status.CANCELED: 5, Status.ABORTED: 6}[status] == int(status)
+
+
+async def test_a_goal_whose_client_is_silent_for_its_lease_comes_to_rest_and_is_aborted():
+    bench = Bench(goal_lease_s=0.1)
+    async with running(bench):
+        await bench.send(number(1))
+        request = SimpleNamespace(goal_id=uuid(number(1)))
+        found = await bench.node.answers["get_result"](request)
+    assert found.status == Status.ABORTED
+    assert found.result.message == "its client was silent for 0.1 s"
+
+
+async def test_a_goal_goes_on_while_its_own_client_lives():
+    bench = Bench(goal_lease_s=5.0)
+    async with running(bench):
+        await bench.send(number(1))
+        goal = bench.server._goals[number(1)]
+        goal.alive_s -= 4.9  # nearly all of its lease
+        bench.server.alive(number(2))  # the client of another goal
+        silent_s = goal.alive_s
+        bench.server.alive(number(1))
+        assert goal.alive_s > silent_s + 4.0
+        bench.go.set()
+        assert await bench.result(number(1)) == Status.SUCCEEDED
+
+
+async def test_a_goal_that_its_client_cancels_is_canceled_though_the_lease_has_lapsed():
+    bench = Bench(goal_lease_s=5.0)
+    async with running(bench):
+        await bench.send(number(1))
+        await bench.cancel(number(1))
+        bench.server._goals[number(1)].alive_s -= 10.0
+        assert await bench.result(number(1)) == Status.CANCELED

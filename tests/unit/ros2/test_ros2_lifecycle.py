@@ -17,6 +17,7 @@ from motord.control.machine import Event, Facts, Refusal, State, step
 
 DEMO = Path(__file__).resolve().parents[3] / "config/robots/demo.toml"
 CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = 1, 2, 3, 4
+SHUTDOWN_UNCONFIGURED, SHUTDOWN_INACTIVE, SHUTDOWN_ACTIVE = 5, 6, 7
 
 
 class Managed:
@@ -25,7 +26,7 @@ class Managed:
     def __init__(self, state=State.IDLE):
         self.runtime = Runtime(load_robot(DEMO), Path("no.sock"))
         self.runtime.call = self._call
-        self.asked, self.events, self._served = [], [], {}
+        self.asked, self.events, self._served, self.rest = [], [], {}, {}
         self.become(state)
         gate = CommandGate("ros2", Ros2Input(kind="ros2", lease_s=5.0), self.runtime)
         self.lifecycle = Lifecycle(self.runtime, gate)
@@ -39,11 +40,26 @@ class Managed:
 
     def become(self, state):
         self.state = state
+        self.show()
+
+    def show(self):
+        """Let the state page show the machine's state."""
+        state = self.state
         self.runtime.view = SimpleNamespace(
             snapshot=SimpleNamespace(machine_state=STATES.index(state.value))
         )
 
+    def answering(self, answer):
+        """Let `answer` take the place of the daemon's methods; `status` goes on."""
+
+        async def call(method):
+            return {"state": self.state.value} if method == "status" else await answer(method)
+
+        self.runtime.call = call
+
     async def _call(self, method):
+        if method == "status":
+            return {"state": self.state.value, **self.rest}
         self.asked.append(method)
         target = step(self.state, Event(method), Facts())
         if isinstance(target, Refusal):
@@ -51,7 +67,7 @@ class Managed:
         if target is State.STOPPING:
             target = step(target, Event.DISARMED, Facts())
         self.become(target)
-        return {"state": target.value}
+        return {"state": target.value, **self.rest}
 
     async def change(self, number=0, label=""):
         wanted = SimpleNamespace(id=number, label=label)
@@ -118,6 +134,36 @@ async def test_an_unconfigured_node_is_not_activated_before_it_is_configured():
     assert await node.change(ACTIVATE)
 
 
+@pytest.mark.parametrize(
+    ("before", "number", "after"),
+    [
+        (State.ARMED, DEACTIVATE, "inactive"),
+        (State.IDLE, CLEANUP, "inactive"),
+        (State.IDLE, SHUTDOWN_INACTIVE, "inactive"),
+        (State.ARMED, SHUTDOWN_ACTIVE, "inactive"),
+    ],
+)
+async def test_a_transition_that_claims_rest_fails_while_rest_is_unknown(
+    before, number, after, caplog
+):
+    node = Managed(before)
+    node.rest = {"rest": "unknown", "rest_unknown_s": {"left": 2.0}, "rest_unmeasured": []}
+    assert not await node.change(number)
+    assert await node.label() == after
+    assert node.state is State.IDLE  # its drives were disarmed all the same
+    assert "motord cannot see whether left turns" in caplog.text
+    node.rest = {"rest": "at_rest", "rest_unknown_s": {}, "rest_unmeasured": []}
+    assert await node.change(CLEANUP)
+
+
+async def test_an_unconfigured_node_is_not_finalized_while_rest_is_unknown():
+    node = Managed()
+    assert await node.change(CLEANUP)
+    node.rest = {"rest": "unknown", "rest_unknown_s": {"left": 2.0}, "rest_unmeasured": []}
+    assert not await node.change(SHUTDOWN_UNCONFIGURED)
+    assert await node.label() == "unconfigured"
+
+
 async def test_a_request_does_not_configure_a_robot_whose_drives_are_not_ready():
     for state in (State.OFF, State.CONFIGURING):
         node = Managed(state)
@@ -159,7 +205,7 @@ async def test_a_refused_shutdown_leaves_the_node_active():
     async def refuse(_):
         raise ClientError("the drive does not answer")
 
-    node.runtime.call = refuse
+    node.answering(refuse)
     assert not await node.change(7)
     assert await node.label() == "active"
 
@@ -182,7 +228,7 @@ async def test_a_fault_while_the_robot_comes_to_rest_is_no_success(answer):
         node.become(State.FAULT)
         return {"state": answer}
 
-    node.runtime.call = fail
+    node.answering(fail)
     assert not await node.change(7)
     assert await node.label() == "errorprocessing"
 
@@ -195,9 +241,65 @@ async def test_the_state_is_the_new_one_when_the_answer_comes():
         later(0.05, node.become, State.ARMED)
         return {"state": "armed"}
 
-    node.runtime.call = slow
+    node.answering(slow)
     assert await node.change(ACTIVATE)
     assert await node.label() == "active"
+
+
+LATE_S = 0.03
+
+
+class Late(Managed):
+    """A managed node whose state page shows each state of the machine later."""
+
+    def become(self, state):
+        self.state = state
+        if self.runtime.view is None:
+            self.show()
+        else:
+            asyncio.get_running_loop().call_later(LATE_S, self.show)
+
+
+FIRST = {
+    "reset": (State.ESTOP, State.IDLE, (CONFIGURE, ACTIVATE, CLEANUP, 6)),
+    "arm": (State.IDLE, State.ARMED, (DEACTIVATE, 7)),
+    "disarm": (State.ARMED, State.IDLE, (CONFIGURE, ACTIVATE, CLEANUP, 6)),
+}
+
+
+@pytest.mark.parametrize(
+    ("first", "number"), [(first, number) for first, row in FIRST.items() for number in row[2]]
+)
+async def test_a_transition_right_after_an_answer_goes_by_the_state_in_the_answer(first, number):
+    before, after, _ = FIRST[first]
+    node = Late(before)
+    assert (await node.runtime.call(first))["state"] == after.value
+    assert await node.change(number)
+
+
+async def test_the_state_right_after_an_answer_is_that_of_the_answer():
+    node = Late(State.ESTOP)
+    await node.runtime.call("reset")
+    assert await node.label() == "inactive"
+
+
+async def test_an_unconfigured_node_stays_so_while_the_page_still_shows_an_armed_robot():
+    node = Late(State.ARMED)
+    await node.runtime.call("disarm")
+    assert await node.change(CLEANUP)
+    assert not await node.change(ACTIVATE)
+    assert await node.label() == "unconfigured"
+
+
+async def test_a_daemon_that_does_not_answer_has_no_state_and_takes_no_transition():
+    node = Managed(State.ARMED)
+
+    async def lost(_):
+        raise ClientError("no daemon")
+
+    node.runtime.call = lost
+    assert await node.label() == "unknown"
+    assert not await node.change(DEACTIVATE)
 
 
 async def test_each_step_is_published_as_an_event():

@@ -96,7 +96,7 @@ def robot(*settings):
 def test_the_description_has_a_joint_for_each_wheel_where_the_robot_file_puts_it():
     from motord.bus.ros2.urdf import urdf
 
-    made = robot("joint.left.wheel_radius_m=0.1")
+    made = robot("joint.left.wheel_radius_m=0.1", 'joint.left.differs_in=["wheel_radius_m"]')
     root = fromstring(urdf(made))
     joints = {
         joint.get("name"): joint

@@ -2,7 +2,7 @@
 """A key moves the robot while it is held, and never after it has been released."""
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from motord.tools.teleop.keys import (
@@ -146,7 +146,15 @@ def test_arrows_are_letters_and_sequences_may_come_in_pieces():
     assert list(decoder.feed(b"n ")) == [PONG, " "]
 
 
+@pytest.mark.parametrize("broken", [b"\x1bO", b"\x1b[", b"\x1b[1;", b"\x1b[ ", b"\x1b"])
+def test_a_sequence_that_another_breaks_off_swallows_no_key(broken):
+    *_, arrow, pong, key = Decoder().feed(broken + b"\x1b[A\x1b[0nd")
+    assert [arrow, pong, key] == ["w", PONG, "d"]
+
+
 @given(st.lists(st.binary(max_size=20), max_size=20))
+@example([b"\x1bO"])
+@example([b"\x1b[", b"\x1b"])
 def test_any_bytes_are_decoded_without_an_error(pieces):
     decoder = Decoder()
     for piece in pieces:

@@ -28,7 +28,8 @@ LEASE = {
 def answer(**changes):
     return Status.of(
         {
-            "robot": "demo", "state": "moving", "why": [], "faults": [], "reasons": [],
+            "robot": "demo", "state": "moving", "rest": "turning", "why": [], "faults": [],
+            "reasons": [],
             "odometry": {"linear_m_s": 0.3, "x_m": 1.0, "y_m": -0.001, "heading_rad": 0.1},
             "joints": {"left": JOINT, "right": JOINT}, "lines": {"rs485": LINE},
             "loop": {"rate_hz": 1000.0, "policy": "SCHED_FIFO", "overruns": 3,
@@ -46,6 +47,15 @@ def shown(found, history=None, now_s=0.0):
         view.leases(found),
     )  # fmt: skip
     return "\n".join(part.plain for part in parts)
+
+
+@pytest.mark.parametrize("state", ["fault", "estop", "idle", "configuring", "stopping", "armed"])
+def test_a_warning_comes_first_while_it_is_unknown_whether_a_wheel_turns(state):
+    found = answer(state=state, rest="unknown", rest_unknown_s={"left": 3.2}, faults=["estop"])
+    words = view.advice(found)
+    assert words.text.startswith("motord cannot see whether left turns: keep away, cut the power")
+    assert words.urgent
+    assert not view.advice(answer(state="armed", rest="at_rest")).urgent
 
 
 def test_a_moving_robot_is_shown_with_its_commander_and_its_limits():

@@ -101,7 +101,7 @@ def robot_file(folder, port, *, name="demo", **line):
         ('drive = "zlac8015d"', f'drive = "{SLOW_PROFILE}"'),
         ("command_timeout_s = 0.3", "command_timeout_s = 5.0"),
         ("feedback_timeout_s = 0.25", "feedback_timeout_s = 5.0"),
-        ("heartbeat_timeout_s = 0.5", "heartbeat_timeout_s = 5.0"),
+        ("heartbeat_timeout_s = 0.5", "heartbeat_timeout_s = 5.0\ntimeout_travel_max_m = 1000.0"),
         ("drive_watchdog_s = 0.5", "drive_watchdog_s = 8.0"),
         ('port = "/dev/ttyUSB0"', f"port = {json.dumps(str(port))}\n{keys}"),
         ("cycle_hz = 50", "cycle_hz = 5"),

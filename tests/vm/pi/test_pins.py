@@ -63,14 +63,20 @@ async def turn():
         await asyncio.sleep(600)
 
 
-def test_after_kill_9_the_pulses_and_the_enables_stay_until_stop_all_ends_them():
-    """This chip leaves a released line at its level: only stop-all stops the motor."""
+@pytest.fixture
+def killed():
+    """A process that turned the motor, and was killed with it turning."""
     code = "import asyncio, test_pins; asyncio.run(test_pins.turn())"
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
         lines = iter(child.stdout.readline, b"")
         assert any(line.strip() == b"turning" for line in lines)
         child.send_signal(signal.SIGKILL)
         child.wait()
+
+
+@pytest.mark.usefixtures("killed")
+async def test_after_kill_9_the_pulses_and_the_enables_stay_until_stop_all_ends_them():
+    """This chip leaves a released line at its level: only stop-all stops the motor."""
     assert level("pwm0") == pytest.approx(0.5, abs=NEAR)
-    assert asyncio.run(halt_line(spec_of())) == []
+    assert await halt_line(spec_of()) == []
     assert are("coast")(), BRIDGE

@@ -5,14 +5,17 @@ passes goes to the daemon, which checks it as every other command."""
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
+from motord.api.commands import beyond
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.gap import STOOD_STILL, Gap
 from motord.bus.commands.link import Source, reason
+from motord.bus.commands.senders import UNKNOWN, Sender, Senders
 from motord.bus.secret import Token
 from motord.client import ClientError
 
@@ -74,15 +77,17 @@ class CommandGate:
         self._free = robot.base.kind == "joints"
         """Whether the robot has joints without a base; a joint with a range of positions takes
         positions."""
-        self._positions = {
-            self._joints[name]
+        self._ranges_rad = {
+            name: (joint.position_min_rad or 0.0, joint.position_max_rad)
             for name, joint in (robot.joint.items() if self._free else ())
             if joint.position_max_rad is not None
         }
+        self._positions = {self._joints[name] for name in self._ranges_rad}
         self._calls: Counter[str] = Counter()
         self._reported_s = -SAY_AGAIN_S
         self._voice = RateLimitedLog(_log)
         self.source: Source = runtime.source(name)
+        self._senders = Senders()
         self._gap: Gap = runtime.gap(section.lease_s)
         self.gap: Gap = runtime.gap(max(section.lease_s, CALL_OLD_S))
         """Detects gaps after which calls and goals may be old."""
@@ -92,26 +97,37 @@ class CommandGate:
         if self._token is None or not self._token.fits(shown):
             raise self._no("the token is missing or wrong")
 
-    def take(self, topic: str, message: object, waited_s: float = 0.0) -> None:
+    def take(
+        self, topic: str, message: object, waited_s: float = 0.0, sender: Sender = UNKNOWN
+    ) -> None:
         """Pass on a message of one of COMMANDS: see `drive` and `drive_joints`. Raises NotTaken."""
         match topic:
             case "cmd_vel":
-                self.drive(message, waited_s)
+                self.drive(message, waited_s, sender)
             case "joint_commands":
-                self.drive_joints(message, waited_s)
+                self.drive_joints(message, waited_s, sender)
             case other:
                 raise self._no(f"{short(other)} is not taken; there are: {', '.join(COMMANDS)}")
 
-    def drive(self, message: object, waited_s: float = 0.0, sender: str = "") -> None:
+    def drive(self, message: object, waited_s: float = 0.0, sender: Sender = UNKNOWN) -> None:
         """Pass a Twist or a TwistStamped on. `waited_s`: its time in transit, as far as that is
-        known; for a message without a stamp it is the age. `sender`: see `act`. Raises NotTaken."""
+        known; for a message without a stamp it is the age. Raises NotTaken."""
         (linear_m_s, angular_rad_s, lateral_m_s), age_s = self._twist(message)
         if self._free and (linear_m_s, angular_rad_s, lateral_m_s) != (0.0, 0.0, 0.0):
             raise self._no("this robot has no base: command its joints by joint_commands")
         stamp_ns = self._stamp_ns(age_s, waited_s)
-        if not self.source.drive(linear_m_s, angular_rad_s, stamp_ns, lateral_m_s=lateral_m_s):
+        number = self._senders.number(sender)
+        if not self.source.drive(
+            linear_m_s, angular_rad_s, stamp_ns, lateral_m_s=lateral_m_s, sender=number
+        ):
             raise self._no(self.source.why_lost)
-        self.name_absurd(linear_m_s, angular_rad_s, lateral_m_s, sender)
+        self.name_absurd(linear_m_s, angular_rad_s, lateral_m_s, sender.name)
+
+    def rest(self, sender: Sender) -> None:
+        """Send zero for a sender, and give its command back."""
+        number = self._senders.number(sender)
+        self.source.drive(0.0, 0.0, sender=number)
+        self.source.release(sender=number)
 
     def name_absurd(
         self, linear_m_s: float, angular_rad_s: float, lateral_m_s: float, sender: str
@@ -134,18 +150,37 @@ class CommandGate:
             " higher limit is in force: check the unit"
         )
 
-    def drive_joints(self, message: object, waited_s: float = 0.0) -> None:
+    def drive_joints(
+        self, message: object, waited_s: float = 0.0, sender: Sender = UNKNOWN
+    ) -> None:
         """Pass the velocities of a JointState on; see `drive`. Wheels that it does not name are to
         rest. A joint without a base takes a velocity or a position. Raises NotTaken."""
+        beyond_range, number = "", self._senders.number(sender)
         if self._free:
             velocities, positions, age_s = self._free_joints(message)
+            names = list(self._joints)
+            named = {names[place]: value for place, value in positions.items()}
+            beyond_range = beyond(self._ranges_rad, named)
             stamp_ns, count = self._stamp_ns(age_s, waited_s), len(self._joints)
-            sent = self.source.drive_free_joints(count, velocities, positions, stamp_ns)
+            self._name_infinite((*velocities.values(), *positions.values()), sender.name)
+            sent = self.source.drive_free_joints(count, velocities, positions, stamp_ns, number)
         else:
             velocity_rad_s, age_s = self._wheels(message)
-            sent = self.source.drive_joints(velocity_rad_s, self._stamp_ns(age_s, waited_s))
+            self._name_infinite(velocity_rad_s, sender.name)
+            stamp_ns = self._stamp_ns(age_s, waited_s)
+            sent = self.source.drive_joints(velocity_rad_s, stamp_ns, number)
         if not sent:
             raise self._no(self.source.why_lost)
+        if beyond_range:  # the loop takes it for zero
+            raise self._no(f"{beyond_range}: check the unit (rad)")
+
+    def _name_infinite(self, values: Iterable[float], sender: str) -> None:
+        """Log the sender of a command of joints that the loop takes for zero; see `name_absurd`."""
+        if not all(map(math.isfinite, values)):
+            self._voice.say(
+                f"input.{self._name}: {sender or 'an unknown sender'} requests by joint_commands"
+                " what is not a number, so it counts as zero"
+            )
 
     def _stamp_ns(self, age_s: float, waited_s: float) -> int:
         """Return when a command was given, CLOCK_MONOTONIC. Raises NotTaken for a command of
@@ -235,7 +270,7 @@ class CommandGate:
             raise self._no(AHEAD)
         return min(max(age_s, 0.0), OLD_S)
 
-    async def act(self, method: object, sender: str = "") -> Any:
+    async def act(self, method: object, sender: str = "", **params: Any) -> Any:
         """Call one of METHODS. `sender`: the caller, if it is known. Raises NotTaken, also with the
         daemon's own reason."""
         if not isinstance(method, str) or method not in METHODS:
@@ -252,7 +287,7 @@ class CommandGate:
                 return await self.ask(
                     method, **reason(f"input.{self._name}: by {sender or 'call'}")
                 )
-            return await self.ask(method)
+            return await self.ask(method, **params)
         except ClientError as error:
             raise NotTaken(str(error)) from error
         finally:

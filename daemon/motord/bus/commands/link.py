@@ -193,18 +193,22 @@ class Source:
         stamp_ns: int | None = None,
         *,
         lateral_m_s: float = 0.0,
+        sender: int = 0,
         seen: int = ALL_SEEN,
     ) -> bool:
         """Send one command; return whether it was sent. `stamp_ns`: when it was given,
-        CLOCK_MONOTONIC; now unless given. `seen`: do not send if `direct` has grown beyond this."""
+        CLOCK_MONOTONIC; now unless given. `sender`: its number among those of this input; 0: the
+        input itself. `seen`: do not send if `direct` has grown beyond this."""
         stamp_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
         twist = (linear_m_s, angular_rad_s, lateral_m_s)
-        return self._send_twist(TWIST, twist, stamp_ns, seen)
+        return self._send_twist(TWIST, twist, stamp_ns, sender, seen)
 
-    def drive_joints(self, velocity_rad_s: Sequence[float], stamp_ns: int) -> bool:
+    def drive_joints(self, velocity_rad_s: Sequence[float], stamp_ns: int, sender: int = 0) -> bool:
         """Send one command of all wheels, in the order of the robot file; see `drive`."""
         return self._send(
-            lambda token, sequence: joint_datagram(token, sequence, stamp_ns, velocity_rad_s)
+            lambda token, sequence: joint_datagram(
+                token, sequence, stamp_ns, velocity_rad_s, sender=sender
+            )
         )
 
     def drive_free_joints(
@@ -213,28 +217,34 @@ class Source:
         velocity_rad_s: Mapping[int, float],
         position_rad: Mapping[int, float],
         stamp_ns: int,
+        sender: int = 0,
     ) -> bool:
         """Send one command of joints without a base; its numbers are by place in the robot file.
         See `drive`."""
         return self._send(
             lambda token, sequence: position_datagram(
-                token, sequence, stamp_ns, joint_count, velocity_rad_s, position_rad
+                token, sequence, stamp_ns, joint_count, velocity_rad_s, position_rad, sender=sender
             )
         )
 
-    def release(self, *, seen: int = ALL_SEEN) -> bool:
+    def release(self, *, sender: int = 0, seen: int = ALL_SEEN) -> bool:
         """Give the command back before its lifetime ends; the next command takes it again. See
         `drive`."""
-        return self._send_twist(RELEASE, (0.0, 0.0, 0.0), time.monotonic_ns(), seen)
+        return self._send_twist(RELEASE, (0.0, 0.0, 0.0), time.monotonic_ns(), sender, seen)
 
     def _send_twist(
-        self, kind: int, twist: tuple[float, float, float], stamp_ns: int, seen: int
+        self,
+        kind: int,
+        twist: tuple[float, float, float],
+        stamp_ns: int,
+        sender: int,
+        seen: int,
     ) -> bool:
         linear_m_s, angular_rad_s, lateral_m_s = twist
         return self._send(
             lambda token, sequence: datagram(
                 token, sequence, stamp_ns, linear_m_s, angular_rad_s,
-                lateral_m_s=lateral_m_s, kind=kind,
+                lateral_m_s=lateral_m_s, kind=kind, sender=sender,
             ),
             seen,
         )  # fmt: skip

@@ -31,6 +31,7 @@ from motord.api.state_page import NoPage, StatePage
 from motord.bus.commands.gap import STOOD_STILL, Gap
 from motord.bus.commands.link import Source
 from motord.client import ClientError
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -124,7 +125,7 @@ class Mover:
                     stale_s=self.stale_s,
                     stops=stops,
                 )
-                async with asyncio.TaskGroup() as tasks:
+                async with TaskGroup() as tasks:
                     counting = tasks.create_task(self._count_stops(motion))
                     step = await self._follow(motion, start, page, report, cancel)
                     counting.cancel()

@@ -22,6 +22,8 @@ from motord.bus.messages.table import definition
 from motord.bus.messages.topics import TOPICS
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, description
 from motord.config import FoxgloveInput, FoxgloveServer
+from motord_hal.base import bounded
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -54,7 +56,7 @@ class FoxgloveAdapter:
             topic: self._channel(topic, TOPICS[topic].type_name) for topic in section.topics
         }
         self._certificate, self._key = (
-            None if file is None else runtime.beside_robot_file(file).read_bytes()
+            None if file is None else bounded.read(runtime.beside_robot_file(file))
             for file in (section.cert_file, section.key_file)
         )
 
@@ -64,7 +66,7 @@ class FoxgloveAdapter:
 
     async def run(self) -> None:
         """Implement `Adapter.run`."""
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             if self._commands is not None:
                 tasks.create_task(self._commands.run())
             tasks.create_task(self._send())

@@ -28,12 +28,15 @@ from foxglove.websocket import (
     WebSocketServer,
 )
 
+from motord.api.snapshot import stop_answer
 from motord.bus.commands.gate import COMMANDS, TRIGGERS, CommandGate, NotTaken, request_of, short
 from motord.bus.commands.link import CALL_WITHIN_S
+from motord.bus.commands.senders import Sender
 from motord.bus.inbox import Inbox, ThreadBridge
 from motord.bus.messages import json_form
 from motord.bus.parameters import Tunable, value_of
 from motord.config import FoxgloveInput
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -52,8 +55,9 @@ REQUEST_BYTES_MAX = 4096
 WAITING_MAX = 32
 ADMITTED_MAX = 64
 CHANNELS_MAX = 256
-"""Largest number of channels of all clients together; the least recently used are forgotten first.
-The SDK does not report that a client is gone."""
+"""Largest number of channels of clients that have shown the token, and of all others; the least
+recently used are forgotten first. The SDK does not report that a client is gone."""
+FORGOTTEN = "this channel is not known, or was forgotten for newer ones: advertise it again"
 
 _TRIGGER = (
     ("Request", {"token": {"type": "string"}}),
@@ -67,7 +71,7 @@ class _Message:
 
     client: int
     topic: str
-    raw: bytes
+    request: Mapping[str, Any]
     came_s: float
 
 
@@ -106,35 +110,38 @@ class Commands(Looks):
         self._admitted: tuple[int, ...] = ()
         """Numbers of the connections that may command; the SDK never reuses a number. Threads read
         the tuple, so it is only replaced as a whole."""
+        self._known: tuple[int, ...] = ()
+        """Numbers of the connections that have shown the token, also in a single request."""
         self._topics: dict[tuple[int, int], str] = {}
         """Topics by the numbers of the connection and of its channel."""
         self._advertising = threading.Lock()
-        self._friends: Inbox[_Message] = Inbox(WAITING_MAX, self._take)
-        self._strangers: Inbox[_Message] = Inbox(WAITING_MAX, self._take)
-        """A separate inbox, so that clients without the token do not push out the commands of
-        admitted clients."""
+        self._inbox: Inbox[_Message] = Inbox(WAITING_MAX, self._take)
+        """Messages with the token, or of admitted clients: all others are refused before."""
         self._complained_s: dict[str, float] = {}
         self.server: WebSocketServer | None = None
 
     async def run(self) -> None:
         """Run until cancelled."""
-        self._friends.open()
-        self._strangers.open()
-        async with asyncio.TaskGroup() as tasks:
+        self._inbox.open()
+        async with TaskGroup() as tasks:
             tasks.create_task(self._gate.source.run())
             tasks.create_task(self._thread_bridge.run())
             tasks.create_task(self._watch())
 
-    def _admit(self, client: int, request: Mapping[str, Any]) -> None:
-        """Check that the connection is admitted or the request has the token. Raises NotTaken."""
-        if client in self._admitted:
-            self._remember(client)
-        else:
+    def _request(self, client: int, raw: bytes, *, admitted: bool = True) -> Mapping[str, Any]:
+        """Return a request that has the token, or of an admitted connection if that is enough. It
+        is checked in the SDK's thread: requests without the token take no place among those that
+        wait for the event loop. Raises NotTaken."""
+        request = request_of(json_form.decode, raw, REQUEST_BYTES_MAX)
+        if not (admitted and client in self._admitted):
             self._gate.admit(request.get("token"))
+        return request
 
-    def _remember(self, client: int) -> None:
-        others = (one for one in self._admitted if one != client)
-        self._admitted = (*others, client)[-ADMITTED_MAX:]
+    def _admitted_now(self, client: int) -> None:
+        """Note in the event loop that a connection has just commanded."""
+        if client in self._admitted:
+            self._admitted = _newest(self._admitted, client)
+        self._known = _newest(self._known, client)
 
     def _complain(self, about: str, error: NotTaken) -> None:
         """Report an error to all clients: the protocol has no reply to a message or a parameter."""
@@ -157,8 +164,10 @@ class Commands(Looks):
             self._complain("publish", NotTaken(f"taken are {known}, in {ENCODING}"))
             return
         with self._advertising:
-            while len(self._topics) >= CHANNELS_MAX:
-                del self._topics[next(iter(self._topics))]
+            friend = client.id in self._known
+            alike = [key for key in self._topics if (key[0] in self._known) == friend]
+            for oldest in alike[: len(alike) - CHANNELS_MAX + 1]:
+                del self._topics[oldest]
             self._topics[client.id, channel.id] = topic
 
     def on_client_unadvertise(self, client: Client, client_channel_id: int) -> None:
@@ -171,17 +180,25 @@ class Commands(Looks):
         key = client.id, client_channel_id
         with self._advertising:
             topic = self._topics.pop(key, None)
-            if topic is None:
-                return
-            self._topics[key] = topic  # used last, forgotten last
-        inbox = self._friends if client.id in self._admitted else self._strangers
-        inbox.put(_Message(client.id, topic, data, time.monotonic()))
+            if topic is not None:
+                self._topics[key] = topic  # used last, forgotten last
+        if topic is None:
+            self._complain("publish", NotTaken(FORGOTTEN))
+            return
+        came_s = time.monotonic()
+        try:
+            request = self._request(client.id, data)
+        except NotTaken as error:
+            self._complain(topic, error)
+        else:
+            self._inbox.put(_Message(client.id, topic, request, came_s))
 
     def _take(self, message: _Message) -> None:
         try:
-            request = request_of(json_form.decode, message.raw, REQUEST_BYTES_MAX)
-            self._admit(message.client, request)
-            self._gate.take(message.topic, request, time.monotonic() - message.came_s)
+            self._admitted_now(message.client)
+            sender = Sender(f"client {message.client}", message.client)
+            waited_s = time.monotonic() - message.came_s
+            self._gate.take(message.topic, message.request, waited_s, sender)
         except NotTaken as error:
             self._complain(message.topic, error)
         else:
@@ -201,22 +218,25 @@ class Commands(Looks):
 
     def _served(self, method: str, request: ServiceRequest) -> bytes:
         """Answer a call of a service. Runs in a thread of the SDK."""
-        make = partial(self._answer, method, request.client_id, request.payload)
         try:
+            self._request(request.client_id, request.payload, admitted=method != AUTHORIZE)
+            make = partial(self._answer, method, request.client_id)
             answer = {"success": True, "message": self._thread_bridge.ask(make, ANSWER_WITHIN_S)}
         except NotTaken as error:
             answer = {"success": False, "message": str(error)}
         return json_form.encode(answer)
 
-    async def _answer(self, method: str, client: int, raw: bytes) -> str:
-        """Carry out a call of a service and return the message of its response. Raises NotTaken."""
-        request = request_of(json_form.decode, raw, REQUEST_BYTES_MAX)
+    async def _answer(self, method: str, client: int) -> str:
+        """Carry out a call of a service that has been checked, and return the message of its
+        response. Raises NotTaken."""
+        self._admitted_now(client)
         if method == AUTHORIZE:
-            self._gate.admit(request.get("token"))
-            self._remember(client)
+            self._admitted = _newest(self._admitted, client)
             return "this connection may command until it ends"
-        self._admit(client, request)
-        return str((await self._gate.act(method))["state"])
+        success, message = stop_answer(method, await self._gate.act(method))
+        if not success:
+            raise NotTaken(message)
+        return message
 
     # --------------------------------------------------------------------------------- parameters
     def on_get_parameters(
@@ -246,7 +266,9 @@ class Commands(Looks):
 
     async def _change(self, client: int, parameters: list[Parameter]) -> None:
         """Change all of the parameters or none. Raises NotTaken."""
-        self._admit(client, {})
+        if client not in self._admitted:
+            self._gate.admit(None)
+        self._admitted_now(client)
         wanted = {one.name: _wanted(one) for one in parameters}
         await self._tunable.change(wanted)
         await self._look()
@@ -271,6 +293,11 @@ class Commands(Looks):
     async def _look(self) -> None:
         known = await self._tunable.known()
         self._parameters = {name: _shown(about) for name, about in known.items()}
+
+
+def _newest(clients: tuple[int, ...], client: int) -> tuple[int, ...]:
+    """Return the clients with this one last, and without the one that was last for longest."""
+    return (*(one for one in clients if one != client), client)[-ADMITTED_MAX:]
 
 
 def _wanted(parameter: Parameter) -> float:

@@ -13,6 +13,7 @@ from motord.config import JoystickInput
 
 EV_SYN, EV_KEY, EV_ABS = 0, 1, 3
 SYN_DROPPED = 3
+REPEATED = 2
 """include/uapi/linux/input-event-codes.h"""
 
 
@@ -53,6 +54,8 @@ class Stick:
 
     def take(self, kind: int, code: int, value: int) -> bool:
         """Take one event; return whether it is an emergency stop."""
+        if kind == EV_KEY and value == REPEATED:
+            return False  # it is no new press: after `let_go` the button has to be released
         if kind == EV_KEY and code == self._codes.dead_man:
             self.held = value != 0
         elif kind == EV_ABS and code in self._values:

@@ -19,6 +19,7 @@ from motord.bus.commands.urgent import Urgent
 from motord.bus.guard import first, raise_if_cancelled
 from motord.bus.joystick.axes import Codes, Stick
 from motord.config import JoystickInput
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -40,7 +41,7 @@ class Joystick:
 
     async def run(self) -> None:
         """Implement `Adapter.run`."""
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             tasks.create_task(self._source.run())
             tasks.create_task(self._estop.run())
             tasks.create_task(self._keep())
@@ -64,7 +65,7 @@ class Joystick:
     async def _listen(self, device: evdev.InputDevice[str]) -> None:
         """Take the device's events until it is gone. Raises OSError then."""
         stick = stick_of(device, self._section, self._codes)
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             tasks.create_task(self._command(stick))
             self._look_for_estop(device)
             async for event in device.async_read_loop():

@@ -9,16 +9,18 @@ import errno
 import os
 import re
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from io import BufferedWriter
 from pathlib import Path
+from types import MappingProxyType
 
 from mcap.writer import CompressionType, Writer
 
 from motord.api.snapshot import SNAPSHOT_VERSION
 from motord.bus.mcap.rosbag2 import METADATA, RECORD, channel_metadata
 from motord.bus.messages.table import definition
+from motord.config.robot_file import ATTACHED_FILE, ATTACHED_REST
 
 MB = 1_000_000
 CONTINUOUS = ("all", "manual")
@@ -27,6 +29,8 @@ saved."""
 CHUNK_BYTES = 256 * 1024
 """Size of a chunk. No more than that is lost when the process is killed; `mcap recover` repairs the
 file."""
+_MEDIA_TYPES = {ATTACHED_FILE: "application/toml", ATTACHED_REST: "application/json"}
+_NO_FILES: Mapping[str, bytes] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +46,8 @@ class Entry:
 class Recording:
     """A file that is being written."""
 
-    def __init__(self, path: Path, robot: str) -> None:
-        """Create the file. Raises OSError."""
+    def __init__(self, path: Path, robot: str, attached: Mapping[str, bytes]) -> None:
+        """Create the file, with these files in it. Raises OSError."""
         self.path, self.since_wall_time_s = path, time.time()
         self._file: BufferedWriter = path.open("xb")
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -52,6 +56,9 @@ class Recording:
         self._writer.add_metadata(
             "motord", {"robot": robot, "snapshot_version": str(SNAPSHOT_VERSION)}
         )
+        for name, content in attached.items():
+            now_ns = time.time_ns()
+            self._writer.add_attachment(now_ns, now_ns, name, _MEDIA_TYPES[name], content)
         self._channels: dict[str, int] = {}
         self._sequence = 0
 
@@ -94,11 +101,13 @@ class Folder:
     """All recordings of one robot and one mode."""
 
     def __init__(
-        self, path: Path, robot: str, *, mode: str, total_max_mb: int, free_min_mb: int
-    ) -> None:
-        """`mode`: see `McapPublish.mode`."""
+        self, path: Path, robot: str, *, mode: str, total_max_mb: int, free_min_mb: int,
+        attached: Mapping[str, bytes] = _NO_FILES,
+    ) -> None:  # fmt: skip
+        """`mode`: see `McapPublish.mode`; `attached`: files in each recording, by their names."""
         self._path = path
         self._robot = robot
+        self._attached = attached
         what = mode if mode in CONTINUOUS else rf"(?!({'|'.join(CONTINUOUS)})\.)[^.]+"
         self._name = re.compile(rf"{re.escape(robot)}-\d{{8}}T\d{{6}}-\d{{9}}-{what}\.mcap")
         self._total_max_bytes = total_max_mb * MB
@@ -111,7 +120,7 @@ class Folder:
         self.make_room()
         stamp = time.strftime("%Y%m%dT%H%M%S", time.gmtime())
         name = f"{self._robot}-{stamp}-{time.time_ns() % 1_000_000_000:09d}-{what}.mcap"
-        return Recording(self._path / name, self._robot)
+        return Recording(self._path / name, self._robot, self._attached)
 
     def make_room(self, keep: Path | None = None) -> None:
         """Delete the oldest files of this robot and mode until the rest fits, but never `keep`.

@@ -26,7 +26,9 @@ from motord.bus.messages.topics import TOPICS
 from motord.bus.ros2.static_frames import STATIC, static_transforms
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, description, urdf
 from motord.config import McapPublish
+from motord.config.robot_file import attached
 from motord.config.rules.recording import memory_bytes
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -54,11 +56,12 @@ class McapRecorder:
             mode=section.mode,
             total_max_mb=section.total_max_mb,
             free_min_mb=section.free_min_mb,
+            attached=attached(runtime.robot) if section.journal else {},
         )
         self._latched = [(DESCRIPTION, STRING, description(runtime.robot))]
         if "tf" in section.topics:
             kind = TOPICS["tf"].type_name
-            frames = static_transforms(urdf(runtime.robot), time.time_ns())
+            frames = static_transforms(urdf(runtime.robot), runtime.clock.now_ns())
             self._latched.append((STATIC, kind, bytes(encode(kind, frames))))
         self._waiting = Waiting(memory_bytes(runtime.robot))
         self._armed = False
@@ -97,7 +100,7 @@ class McapRecorder:
     async def run(self) -> None:
         """Implement `Adapter.run`."""
         try:
-            async with asyncio.TaskGroup() as tasks:
+            async with TaskGroup() as tasks:
                 collecting = [tasks.create_task(self._collect())]
                 if self._section.journal:
                     collecting.append(tasks.create_task(self._collect_journal()))
@@ -131,7 +134,7 @@ class McapRecorder:
     def _keep_journal(self, journal: Journal) -> None:
         message = journal.message()
         if message is not None:
-            self._keep(Entry(TOPIC, TYPE_NAME, time.time_ns(), message))
+            self._keep(Entry(TOPIC, TYPE_NAME, self._runtime.clock.now_ns(), message))
         self._feed.dropped += journal.take_lost()
 
     # --------------------------------------------------------------------------------------- all
@@ -187,7 +190,7 @@ class McapRecorder:
     def _forget(self) -> None:
         """Drop messages that are too old for a fault's file."""
         kept_s = self._section.before_s + self._section.after_s + WRITE_EVERY_S
-        self._waiting.forget(time.time_ns() - round(kept_s * 1e9))
+        self._waiting.forget(self._runtime.clock.now_ns() - round(kept_s * 1e9))
 
     async def _save(self, what: str) -> None:
         batch, self._why = self._waiting.take(), None
@@ -216,7 +219,7 @@ class McapRecorder:
     def _described(self, batch: list[Entry]) -> list[Entry]:
         """Return the messages that begin each file: the robot description, and with tf its fixed
         frames."""
-        log_ns = batch[0].log_ns if batch else time.time_ns()
+        log_ns = batch[0].log_ns if batch else self._runtime.clock.now_ns()
         return [Entry(topic, kind, log_ns, message) for topic, kind, message in self._latched]
 
     def _finish(self) -> None:

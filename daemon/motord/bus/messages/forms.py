@@ -3,7 +3,8 @@
 functions are compiled from the descriptions of `motord.bus.messages.tree` when a feed is made.
 
 A form returns a function for a topic and a body. That function takes a view and the wall clock's
-offset. It returns None if there is no message, and raises ValueError for values that do not fit.
+offset at the moment of the stamp. It returns None if there is no message, and raises ValueError for
+values that do not fit.
 """
 
 from __future__ import annotations
@@ -63,6 +64,15 @@ def as_cdr(topic: Topic, body: Body) -> Make:
     """Return the function that makes plain CDR with its header, as ROS 2 reads it."""
     described = DESCRIPTIONS[topic.name]
     return _chosen(described, body, lambda names: _cdr_encoder(described, body, names))
+
+
+def measured_ns(topic: Topic, body: Body) -> Callable[[View], int | None]:
+    """Return the function that returns the moment of CLOCK_MONOTONIC which the stamp of the topic's
+    message means; None if there is no message. It raises ValueError as the forms do."""
+    described = DESCRIPTIONS[topic.name]
+    built = _compiled(described, "return moment_ns", {})
+    make = _chosen(described, body, lambda _: built)
+    return lambda view: make(view, 0)
 
 
 def stamp_ns(topic: str, raw: bytes) -> int:

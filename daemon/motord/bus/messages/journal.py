@@ -12,15 +12,17 @@ from typing import Self
 
 import zstandard
 
-from motord.api.page_file import JOURNAL, find_page
+from motord.api.page_file import JOURNAL, find_page, slots_fit
 from motord.bus.messages.cdr import HEADER
 
 TOPIC, TYPE_NAME = "core_journal", "motord_msgs/msg/CoreJournal"
 _MAGIC = b"MOTORDJ\1"
 _LAYOUT_VERSION = 12
-_HEADER = struct.Struct("=8s10I2Q")
+_LAYOUT = struct.Struct("=8s10I")
 """Fields: magic; layout version; records: count, stride, offset, bytes; checkpoints: the same four;
-the writer's process; records and checkpoints so far."""
+the writer's process."""
+_SO_FAR = struct.Struct("=2Q")
+"""Behind the layout: records and checkpoints so far."""
 _SEQUENCE = struct.Struct("=Q")
 _MARGIN = 256
 """Number of records that the writer may add while the oldest ones are read."""
@@ -38,16 +40,25 @@ class NoJournal(Exception):
 class Journal:
     """The journal of one robot, read from the oldest record that a checkpoint precedes."""
 
-    def __init__(self, path: Path, memory: mmap.mmap) -> None:
+    def __init__(self, path: Path, file: os.stat_result, memory: mmap.mmap) -> None:
+        """Raise NoJournal if the memory does not hold a journal of this layout."""
         self._path = path
         self._memory = memory
-        self._inode = path.stat().st_ino
-        fields = _HEADER.unpack_from(memory)
-        self._layout_version = fields[1]
+        self._inode = file.st_ino
+        self._layout = memory[: _LAYOUT.size]
+        fields = _LAYOUT.unpack(self._layout)
+        magic, self._layout_version = fields[:2]
         self._count, self._stride, self._offset, self.record_bytes = fields[2:6]
         self._checkpoint_count, self._checkpoint_stride = fields[6:8]
         self._checkpoint_offset, self.checkpoint_bytes = fields[8:10]
-        self._pid = fields[10]
+        known = magic == _MAGIC and self._layout_version == _LAYOUT_VERSION
+        if not known or not all(
+            slots_fit(file.st_size, count, stride, offset, _SEQUENCE.size + size)
+            for count, stride, offset, size in (fields[2:6], fields[6:10])
+        ):
+            raise NoJournal(
+                f"{path} is not a journal of layout {_LAYOUT_VERSION}, or is being made"
+            )
         self._records = 0
         self._checkpoints = 0
         self._lost = 0
@@ -58,23 +69,21 @@ class Journal:
         """Open the journal of that robot. Raises NoJournal."""
         path = find_page(robot, JOURNAL)
         try:
-            fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError as error:
             raise NoJournal(f"{path}: {error.strerror}") from None
         try:
-            size = os.fstat(fd).st_size
-            if size < _HEADER.size:
+            file = os.fstat(fd)
+            if file.st_size < _LAYOUT.size + _SO_FAR.size:
                 raise NoJournal(f"{path} is being made")
-            memory = mmap.mmap(fd, size, mmap.MAP_SHARED, mmap.PROT_READ)
+            memory = mmap.mmap(fd, file.st_size, mmap.MAP_SHARED, mmap.PROT_READ)
         finally:
             os.close(fd)
-        magic, version, *_ = _HEADER.unpack_from(memory)
-        if magic != _MAGIC or version != _LAYOUT_VERSION:
+        try:
+            return cls(path, file, memory)
+        except NoJournal:
             memory.close()
-            raise NoJournal(
-                f"{path} is not a journal of layout {_LAYOUT_VERSION}, or is being made"
-            )
-        return cls(path, memory)
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -89,7 +98,7 @@ class Journal:
             same = self._path.stat().st_ino == self._inode
         except FileNotFoundError:
             return True
-        return not same or _HEADER.unpack_from(self._memory)[10] != self._pid
+        return not same or self._memory[: _LAYOUT.size] != self._layout
 
     def take_lost(self) -> int:
         """Return how many records were overwritten before they were read, since the last call."""
@@ -112,7 +121,7 @@ class Journal:
         return bytes(out)
 
     def _new_checkpoints(self) -> bytes:
-        so_far = _HEADER.unpack_from(self._memory)[12]
+        so_far = _SO_FAR.unpack_from(self._memory, _LAYOUT.size)[1]
         first = max(self._checkpoints, so_far - self._checkpoint_count)
         self._checkpoints = so_far
         return b"".join(
@@ -126,7 +135,7 @@ class Journal:
         return self._slot(self._checkpoint_offset + at, number, self.checkpoint_bytes)
 
     def _new_records(self) -> bytes:
-        so_far = _HEADER.unpack_from(self._memory)[11]
+        so_far = _SO_FAR.unpack_from(self._memory, _LAYOUT.size)[0]
         first = self._records
         oldest = so_far - self._count + _MARGIN
         if oldest > first:

@@ -11,14 +11,27 @@ from itertools import compress
 from math import cos, isfinite, nan, sin
 from typing import TYPE_CHECKING, NamedTuple
 
-from motord.api.snapshot import STATES, ImuSnapshot, JointSnapshot, Snapshot
+from motord.api.snapshot import (
+    STATES,
+    ImuSnapshot,
+    JointSnapshot,
+    Rest,
+    Snapshot,
+    joints_of,
+    rest_report,
+    rest_text,
+)
 
 if TYPE_CHECKING:
     from motord.bus.messages.topics import View
 
-__all__ = ["cos", "isfinite", "nan", "sin"]  # for the expressions of the tree
+__all__ = ["cos", "isfinite", "nan", "rest_report", "sin"]  # for the expressions of the tree
 UNMEASURED = 1e6
 """Variance of what wheels cannot measure: height, roll, pitch. Filters give it no weight."""
+GYRO_ZERO_RAD_S = 0.35
+"""Deviation of a gyro's zero about x and y: 20 deg/s. The MPU-6000/MPU-6050 Product Specification,
+revision 3.4, section 6.1, allows an initial zero-rate output of 20 deg/s at 25 degrees Celsius and
+a variation over temperature of 20 deg/s: both together are two deviations."""
 NOT_MEASURED = (-1.0, *[0.0] * 8)
 """Covariance of what an Imu does not measure (sensor_msgs/Imu)."""
 ERROR_UNKNOWN = (0.0,) * 9
@@ -95,6 +108,7 @@ class DiagnosticStatus:
 class Battery(NamedTuple):
     """Measurements of the battery; NaN: not measured. `current_a` flows into the battery."""
 
+    stamp_ns: int
     voltage_v: float
     current_a: float = nan
     temperature_c: float = nan
@@ -117,27 +131,37 @@ def all_joints(now: Snapshot, body: Body) -> tuple[Sequence[str], Sequence[Joint
 
 
 def with_position(now: Snapshot, body: Body) -> tuple[Sequence[str], Sequence[JointSnapshot]]:
-    """Return names and joints that have feedback and a position; a velocity may be NaN. Raises
-    ValueError: see `all_joints`."""
+    """Return names and joints that have fresh feedback and a position; a velocity may be NaN.
+    Raises ValueError: see `all_joints`."""
     names, joints = all_joints(now, body)
-    known = [isfinite(joint.position_rad) and isfinite(joint.feedback_age_s) for joint in joints]
+    known = [
+        not joint.stale and isfinite(joint.position_rad) and isfinite(joint.feedback_age_s)
+        for joint in joints
+    ]
     if all(known):
         return names, joints
     return tuple(compress(names, known)), tuple(compress(joints, known))
 
 
-def oldest_ns(joints: Sequence[JointSnapshot]) -> int:
-    """Return the age of the oldest feedback."""
-    return round(max([joint.feedback_age_s for joint in joints]) * _NS)
+def newest_ns(now: Snapshot, joints: Sequence[JointSnapshot]) -> int:
+    """Return the stamp of the newest feedback of these joints."""
+    return now.stamp_ns - round(min([joint.feedback_age_s for joint in joints]) * _NS)
 
 
-def rate_variance(rate_rad_s: float, yaw_variance: float) -> float:
-    """Return the variance of the rate about an axis. That of the yaw rate counts for each axis that
-    is measured; another axis has UNMEASURED. Zero: the quality is unknown before the gyro has a
-    zero."""
-    if not isfinite(yaw_variance):
+def yaw_variance(imu: ImuSnapshot) -> float:
+    """Return the variance of the rate about z; zero: it is unknown before the gyro has a zero."""
+    variance = imu.rate_variance_rad2_s2 + imu.bias_variance_rad2_s2
+    return variance if isfinite(variance) else 0.0
+
+
+def tilt_variance(rate_rad_s: float, imu: ImuSnapshot) -> float:
+    """Return the variance of the rate about x or y, from which no zero is taken away: motord does
+    not measure it, so it counts as GYRO_ZERO_RAD_S beside the noise about z. An axis that is not
+    measured has UNMEASURED; zero: as `yaw_variance`."""
+    if not isfinite(imu.rate_variance_rad2_s2):
         return 0.0
-    return yaw_variance if isfinite(rate_rad_s) else UNMEASURED
+    known = imu.rate_variance_rad2_s2 + GYRO_ZERO_RAD_S**2
+    return known if isfinite(rate_rad_s) else UNMEASURED
 
 
 def battery_of(view: View) -> Battery | None:
@@ -149,18 +173,24 @@ def battery_of(view: View) -> Battery | None:
         if found["voltage_v"] is None:
             return None
         return Battery(
+            stamp_ns=found["stamp_ns"],
             voltage_v=found["voltage_v"],
             current_a=_or_nan(found["current_a"]),
             temperature_c=_or_nan(found["temperature_c"]),
             capacity_ah=_or_nan(found["capacity_ah"]),
             cells=found["cells"] or 0,
         )
-    volts = [
-        joint.voltage_v
-        for joint in view.snapshot.joints
-        if isfinite(joint.voltage_v) and not joint.stale
+    now = view.snapshot
+    measure = [
+        joint
+        for joint in now.joints
+        if isfinite(joint.voltage_v) and isfinite(joint.feedback_age_s) and not joint.stale
     ]
-    return Battery(voltage_v=min(volts)) if volts else None
+    if not measure:
+        return None
+    return Battery(
+        stamp_ns=newest_ns(now, measure), voltage_v=min([joint.voltage_v for joint in measure])
+    )
 
 
 def _or_nan(value: float | None) -> float:
@@ -187,6 +217,7 @@ def diagnostics(view: View, body: Body) -> tuple[DiagnosticStatus, ...]:
     if battery is not None:
         level, measured = _BATTERY_LEVELS.get(battery["state"], Level.STALE), dict(battery)
         state = measured.pop("state")
+        measured.pop("stamp_ns", None)
         values = {key: _word(_or_nan(value)) for key, value in measured.items()}
         name = f"{body.robot}: battery"
         statuses += (DiagnosticStatus(level, name, state, body.robot, _pairs(values)),)
@@ -197,12 +228,19 @@ def _base_diagnostic(snapshot: Snapshot, body: Body) -> DiagnosticStatus:
     level, message = Level.OK, state_name(snapshot)
     if snapshot.odometry_degraded:
         level, message = Level.WARN, f"{message}; odometry is degraded"
+    if snapshot.counter_coarse:
+        coarse = ", ".join(joints_of(snapshot.counter_coarse, body.joints))
+        level, message = Level.WARN, f"{message}; the counter of {coarse} has become coarse"
     if snapshot.faults:
         level, message = Level.ERROR, f"{message}: {', '.join(snapshot.faults)}"
+    if snapshot.rest == Rest.UNKNOWN:
+        unknown = rest_report(snapshot, body.joints)["rest_unknown_s"]
+        level, message = Level.ERROR, f"{message}; {rest_text(snapshot.rest, unknown)}"
     values = {
         "state": state_name(snapshot),
         "armed": _word(snapshot.armed),
         "at_rest": _word(snapshot.at_rest),
+        "rest": snapshot.rest,
         "faults": " ".join(snapshot.faults),
         "reasons": " ".join(snapshot.reasons),
         "saturation": _word(snapshot.saturation),

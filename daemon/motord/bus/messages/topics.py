@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -61,9 +60,3 @@ TOPICS = MappingProxyType(
     {name: Topic(name=name, type_name=one.type_name) for name, one in DESCRIPTIONS.items()}
 )
 """Topics by name."""
-
-
-def wall_offset_ns() -> int:
-    """Return CLOCK_REALTIME less CLOCK_MONOTONIC, now: it turns a snapshot's stamp into wall
-    time."""
-    return time.time_ns() - time.monotonic_ns()

@@ -67,7 +67,7 @@ transforms[0].transform.rotation.w = cos(now.heading_rad / 2.0)
 === joint_states sensor_msgs/msg/JointState
 joints with_position(now, body)
 needs names
-header.stamp = now.stamp_ns - oldest_ns(joints)  # of the oldest feedback among the joints
+header.stamp = newest_ns(now, joints)  # of the newest feedback among the joints
 name = names
 position = joint.position_rad  # rad
 velocity = joint.velocity_rad_s  # rad/s
@@ -77,7 +77,6 @@ let imu = now.imu
 needs imu is not None and imu.state not in NOT_PUBLISHED and isfinite(imu.angular_rad_s[2])
 let x_rad_s, y_rad_s, z_rad_s = imu.angular_rad_s
 let x_m_s2, y_m_s2, z_m_s2 = imu.acceleration_m_s2
-let variance = imu.rate_variance_rad2_s2 + imu.bias_variance_rad2_s2
 let accelerates = isfinite(x_m_s2) and isfinite(y_m_s2) and isfinite(z_m_s2)
 header.stamp = imu.stamp_ns
 header.frame_id = body.base_frame
@@ -87,10 +86,10 @@ angular_velocity.x = or_zero(x_rad_s)  # rad/s
 angular_velocity.y = or_zero(y_rad_s)  # rad/s
 angular_velocity.z = z_rad_s  # rad/s
 angular_velocity_covariance = [
-    rate_variance(x_rad_s, variance), 0.0, 0.0,
-    0.0, rate_variance(y_rad_s, variance), 0.0,
-    0.0, 0.0, rate_variance(z_rad_s, variance),
-]  # rad²/s²; zeros: the error is not known
+    tilt_variance(x_rad_s, imu), 0.0, 0.0,
+    0.0, tilt_variance(y_rad_s, imu), 0.0,
+    0.0, 0.0, yaw_variance(imu),
+]  # rad²/s²; about x and y with the zero that is not taken away; zeros: the error is not known
 linear_acceleration.x = x_m_s2 if accelerates else 0.0  # m/s²
 linear_acceleration.y = y_m_s2 if accelerates else 0.0  # m/s²
 linear_acceleration.z = z_m_s2 if accelerates else 0.0  # m/s²
@@ -99,7 +98,7 @@ linear_acceleration_covariance = ERROR_UNKNOWN if accelerates else NOT_MEASURED
 === battery_state sensor_msgs/msg/BatteryState
 let battery = battery_of(view)
 needs battery is not None
-header.stamp = now.stamp_ns
+header.stamp = battery.stamp_ns  # of the measurement; by drives: of the newest one
 voltage = battery.voltage_v  # V
 temperature = battery.temperature_c  # °C
 current = battery.current_a  # A, into the battery
@@ -117,12 +116,17 @@ status = diagnostics(view, body)
 
 === motor_status motord_msgs/msg/MotorStatus
 let commander = view.commander() or NOBODY
+let rest = rest_report(now, body.joints)
 std_msgs/Header header
 header.stamp = now.stamp_ns
 header.frame_id = body.base_frame
 string state = state_name(now)  # of the state machine
 bool armed = now.armed
 bool at_rest = now.at_rest
+string rest = now.rest  # at_rest, turning or unknown
+string[] rest_unknown = tuple(rest["rest_unknown_s"])  # joints of which it is unknown
+float64[] rest_unknown_s = tuple(rest["rest_unknown_s"].values())  # s; for so long
+string[] rest_unmeasured = rest["rest_unmeasured"]  # joints that nothing measures
 string[] faults = now.faults  # latched
 string[] why = view.why()  # what led to the faults
 string[] reasons = now.reasons  # why the set-point differs from the request

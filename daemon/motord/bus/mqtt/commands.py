@@ -24,6 +24,7 @@ from motord.bus.commands.gate import COMMANDS, URGENT, CommandGate, NotTaken, re
 from motord.bus.mqtt.connection import MqttConnection, taken
 from motord.bus.mqtt.names import CALL
 from motord.config import MqttInput
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -52,14 +53,14 @@ class MqttCommands:
 
     async def run(self) -> None:
         """Implement `Adapter.run`."""
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             tasks.create_task(self._gate.source.run())
             tasks.create_task(self._connection.keep(self._use))
 
     async def _use(self, client: aiomqtt.Client) -> None:
         commands = [(topic, 0) for topic in self._commands]
         await taken(client.subscribe([*commands, (self._call_topic, 1)]))
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             async for message in client.messages:
                 if message.retain:
                     _log.warning("%s: a retained message is ignored", message.topic)
@@ -67,9 +68,7 @@ class MqttCommands:
                 with contextlib.suppress(NotTaken):  # logged by the command gate
                     self._take(client, message, tasks)
 
-    def _take(
-        self, client: aiomqtt.Client, message: aiomqtt.Message, tasks: asyncio.TaskGroup
-    ) -> None:
+    def _take(self, client: aiomqtt.Client, message: aiomqtt.Message, tasks: TaskGroup) -> None:
         request = request_of(self._connection.decode, message.payload, PAYLOAD_BYTES_MAX)
         topic = self._commands.get(str(message.topic))
         try:

@@ -21,6 +21,7 @@ from motord.bus.messages.topics import Topic, View
 from motord.bus.mqtt.names import names_of
 from motord.bus.secret import read_secret
 from motord.config import MqttBroker
+from motord_hal.base.bounded import regular
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -123,7 +124,7 @@ async def taken(call: Awaitable[object]) -> None:
 
 def _tls_context(section: MqttBroker, runtime: Runtime) -> ssl.SSLContext:
     def beside(name: str | None) -> str | None:
-        return None if name is None else str(runtime.beside_robot_file(name))
+        return None if name is None else str(regular(runtime.beside_robot_file(name)))
 
     context = ssl.create_default_context(cafile=beside(section.ca_file))
     if certificate := beside(section.cert_file):

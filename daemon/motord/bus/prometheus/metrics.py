@@ -14,7 +14,7 @@ from typing import Any
 from prometheus_client import CollectorRegistry, Metric, generate_latest
 from prometheus_client.registry import Collector
 
-from motord.api.snapshot import STATES
+from motord.api.snapshot import STATES, Rest, rest_report, stamp_is_fresh
 from motord.bus.messages.sources import Body
 from motord.bus.messages.topics import View
 
@@ -61,6 +61,7 @@ def _families(body: Body, view: View | None) -> Iterator[Family]:
     if up:
         yield from _base(view)
         yield from _joints(body, view)
+        yield from _rest(body, view)
     if view.status is not None:
         yield from _loop(view.status)
         yield from _lines(view.status)
@@ -74,7 +75,7 @@ robot is not exported: a monitor would take an old speed for the present one."""
 
 
 def _is_up(view: View) -> bool:
-    return time.monotonic_ns() - view.snapshot.stamp_ns < STALE_S * 1e9
+    return stamp_is_fresh(time.monotonic_ns(), view.snapshot.stamp_ns, STALE_S)
 
 
 def _base(view: View) -> Iterator[Family]:
@@ -83,6 +84,8 @@ def _base(view: View) -> Iterator[Family]:
         ({"state": word}, float(number == now.machine_state)) for number, word in enumerate(STATES)
     )
     yield Family("motord_state", "gauge", "1 for the state machine's state.", states)
+    rests = tuple(({"rest": word.value}, float(word == now.rest)) for word in Rest)
+    yield Family("motord_rest", "gauge", "1 for what is known of the robot's rest.", rests)
     gauges = {
         "armed": ("Whether the core is armed.", float(now.armed)),
         "faults": ("Faults that are latched.", float(len(now.faults))),
@@ -120,6 +123,13 @@ def _joints(body: Body, view: View) -> Iterator[Family]:
     for name, (text, key) in figures.items():
         values = tuple(({"joint": joint}, float(getattr(now, key))) for joint, now in joints)
         yield Family(f"motord_joint_{name}", "gauge", text, values)
+
+
+def _rest(body: Body, view: View) -> Iterator[Family]:
+    unknown_s = rest_report(view.snapshot, body.joints)["rest_unknown_s"]
+    values = tuple(({"joint": joint}, unknown_s.get(joint, 0.0)) for joint in body.joints)
+    text = "How long it has been unknown whether the joint turns; 0: it is known."
+    yield Family("motord_joint_rest_unknown_seconds", "gauge", text, values)
 
 
 def _loop(status: Mapping[str, Any]) -> Iterator[Family]:

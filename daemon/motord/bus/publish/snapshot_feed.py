@@ -6,21 +6,24 @@ from __future__ import annotations
 
 import asyncio
 import json
-import time
 from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
 from motord.api.snapshot import Snapshot
+from motord.base.wall_clock import WallClock
 
 
 class SnapshotFeed:
     """Holds one snapshot between the daemon, which never waits, and one publisher."""
 
-    def __init__(self, robot: str, rate_hz: float) -> None:
+    def __init__(self, robot: str, rate_hz: float, clock: WallClock | None = None) -> None:
+        """`clock`: gives the wall times; the process has one."""
         self._robot = robot
+        self._clock = clock or WallClock()
         self._period_ns = round(1e9 / rate_hz)
-        self._due_ns = 0
-        self._newest: tuple[Snapshot, Mapping[str, Any] | None] | None = None
+        self._due_ns, self._last_ns = 0, -1
+        self._newest: tuple[Snapshot, Mapping[str, Any] | None, int] | None = None
+        """Snapshot, battery, and the snapshot's wall time."""
         self._filled = asyncio.Event()
         self.taken = 0
         self.dropped = 0
@@ -35,11 +38,13 @@ class SnapshotFeed:
     def offer(self, snapshot: Snapshot, battery: Mapping[str, Any] | None = None) -> None:
         """Keep a snapshot whose time has come, by its own stamp. Missed times are not made up for.
         `battery`: the battery of `status`; None: it is not measured."""
-        if snapshot.stamp_ns < self._due_ns:
+        if snapshot.stamp_ns < self._due_ns or snapshot.stamp_ns <= self._last_ns:
             return
+        self._last_ns = snapshot.stamp_ns
         self._due_ns = max(self._due_ns + self._period_ns, snapshot.stamp_ns)
         self.dropped += self._newest is not None
-        self._newest = (snapshot, battery)
+        self._clock.look()
+        self._newest = snapshot, battery, self._clock.wall_ns(snapshot.stamp_ns)
         self._filled.set()
 
     async def __aiter__(self) -> AsyncIterator[bytes]:
@@ -50,21 +55,16 @@ class SnapshotFeed:
             newest, self._newest = self._newest, None
             if newest is not None:
                 self.taken += 1
-                snapshot, battery = newest
-                yield encode(self._robot, snapshot, time.time_ns(), time.monotonic_ns(), battery)
+                snapshot, battery, wall_ns = newest
+                yield encode(self._robot, snapshot, wall_ns, battery)
 
 
 def encode(
-    robot: str,
-    snapshot: Snapshot,
-    wall_ns: int,
-    now_ns: int,
-    battery: Mapping[str, Any] | None = None,
+    robot: str, snapshot: Snapshot, wall_ns: int, battery: Mapping[str, Any] | None = None
 ) -> bytes:
-    """Return the snapshot as JSON, with its robot's name and its time as wall time, which it does
-    not contain itself."""
-    stamp_s = (wall_ns - (now_ns - snapshot.stamp_ns)) / 1e9
-    shown = {"robot": robot, "wall_time_s": stamp_s, **snapshot.to_json()}
+    """Return the snapshot as JSON, with its robot's name and its wall time, which it does not
+    contain itself."""
+    shown = {"robot": robot, "wall_time_s": wall_ns / 1e9, **snapshot.to_json()}
     if battery is not None:
         shown["battery"] = battery
     return json.dumps(shown, allow_nan=False, separators=(",", ":")).encode()

@@ -7,19 +7,21 @@ cmd_vel                           geometry_msgs/TwistStamped, or Twist (stamped 
 joint_commands                    sensor_msgs/JointState: velocities by the joints' names; of
                                   joints without a base, positions too
 drive_distance, rotate, calibrate motord_msgs actions
+~/goal_alive                      unique_identifier_msgs/UUID: a goal's client lives (goal_lease_s)
 ~/stop, ~/estop                   std_srvs/Trigger; also topics (std_msgs/String: why), for
                                   nodes whose middleware our services do not reach
 """
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
+from motord.api.snapshot import stop_answer
 from motord.bus.commands.gate import COMMANDS, TRIGGERS, URGENT, CommandGate, NotTaken
 from motord.bus.commands.mover import Mover
+from motord.bus.commands.senders import Sender
 from motord.bus.commands.urgent import Urgent
 from motord.bus.ros2.nodes import Node, node_of
 from motord.bus.ros2.quality import Answer, Quality, Take
@@ -27,6 +29,7 @@ from motord.bus.ros2.senders import Contest, asker
 from motord.bus.ros2.services.lifecycle import Lifecycle
 from motord.bus.ros2.services.moves import Moves
 from motord.bus.ros2.services.parameters import Parameters
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.ros2.dds.receiver import Twists
@@ -78,12 +81,15 @@ class Ros2Commands:
         self._lifecycle = Lifecycle(runtime, self._gate)
         self._lifecycle.serve(self._node)
         self._mover = Mover(runtime, self._gate.source, self._gate.gap, section.lease_s)
-        self._moves = Moves(runtime, self._mover)
+        self._moves = Moves(runtime, self._mover, section.goal_lease_s)
         self._moves.serve(self._node)
+        if section.goal_lease_s is not None:
+            kind = "unique_identifier_msgs/msg/UUID"
+            self._node.subscribe("~/goal_alive", kind, self._moves.alive, NEWEST)
 
     async def run(self) -> None:
         """Implement `Adapter.run`."""
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             tasks.create_task(self._gate.source.run())
             tasks.create_task(self._node.run())
             tasks.create_task(self._lifecycle.run())
@@ -116,24 +122,24 @@ class Ros2Commands:
 
         return receiver.Twists(made, reader, self._gate, taken)
 
-    def _drive(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
+    def _drive(self, message: SimpleNamespace, waited_s: float, sender: Sender) -> None:
         with contextlib.suppress(NotTaken):  # logged by the command gate
             self._gate.drive(_as_mapping(message), waited_s, sender)
             self._mover.driven()
             twist = message.twist if self._stamped else message
             self._contests["cmd_vel"].received(
-                sender, (twist.linear.x, twist.angular.z, twist.linear.y)
+                sender.name, (twist.linear.x, twist.angular.z, twist.linear.y)
             )
 
-    def _drive_joints(self, message: SimpleNamespace, waited_s: float, sender: str) -> None:
+    def _drive_joints(self, message: SimpleNamespace, waited_s: float, sender: Sender) -> None:
         with contextlib.suppress(NotTaken):
             command = _as_mapping(message)
             if not self._stamped:
                 del command["header"]
-            self._gate.drive_joints(command, waited_s)
+            self._gate.drive_joints(command, waited_s, sender)
             self._mover.driven()
             self._contests["joint_commands"].received(
-                sender, (*message.velocity, *message.position)
+                sender.name, (*message.velocity, *message.position)
             )
 
     def _rivals(self) -> dict[str, Any]:
@@ -155,12 +161,13 @@ class Ros2Commands:
             result = await self._gate.act(method, asker.get())
         except NotTaken as error:
             return SimpleNamespace(success=False, message=str(error))
-        return SimpleNamespace(success=True, message=result["state"])
+        success, message = stop_answer(method, result)
+        return SimpleNamespace(success=success, message=message)
 
 
 def _asking(urgent: Urgent) -> Take:
-    def ask(message: SimpleNamespace, _: float, sender: str) -> None:
-        urgent.ask(f"by {sender}: {message.data[:_WHY_CHARS]!r}")
+    def ask(message: SimpleNamespace, _: float, sender: Sender) -> None:
+        urgent.ask(f"by {sender.name}: {message.data[:_WHY_CHARS]!r}")
 
     return ask
 

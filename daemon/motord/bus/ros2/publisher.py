@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import time
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
@@ -19,6 +18,8 @@ from motord.bus.ros2.rosout import LOG, ROSOUT, Rosout
 from motord.bus.ros2.static_frames import STATIC, static_transforms
 from motord.bus.ros2.urdf import DESCRIPTION, STRING, urdf
 from motord.config import Ros2Publish, RosTopics, ZenohPublish
+from motord_hal.base import bounded
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -64,7 +65,7 @@ class Ros2Publisher:
 
     async def run(self) -> None:
         """Implement `Adapter.run`."""
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             tasks.create_task(self._node.run())
             tasks.create_task(self._publish())
             tasks.create_task(self._log())
@@ -86,7 +87,8 @@ class Ros2Publisher:
         if self._static is None:
             return
         try:
-            frames = static_transforms(self._description, time.time_ns(), self._prefix)
+            now_ns = self._runtime.clock.now_ns()
+            frames = static_transforms(self._description, now_ns, self._prefix)
         except ValueError as error:
             _log.warning("no tf_static: %s", error)
         else:
@@ -99,4 +101,4 @@ def _description(section: RosTopics, runtime: Runtime) -> str:
     path = runtime.beside_robot_file(section.urdf_file)
     if path.stat().st_size > URDF_BYTES_MAX:
         raise ValueError(f"{path}: more than {URDF_BYTES_MAX} bytes are no robot description")
-    return path.read_text(encoding="utf-8")
+    return bounded.read(path, URDF_BYTES_MAX).decode()

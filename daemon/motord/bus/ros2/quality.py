@@ -9,10 +9,12 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Literal
 
+from motord.bus.commands.senders import Sender
+
 Distribution = Literal["humble", "jazzy"]
 """Distribution of ROS 2; "jazzy" also stands for Iron and all later ones."""
-Take = Callable[[SimpleNamespace, float, str], None]
-"""Function that takes each message of a topic, its time in transit in s, and its sender's name."""
+Take = Callable[[SimpleNamespace, float, Sender], None]
+"""Function that takes each message of a topic, its time in transit in s, and its sender."""
 Answer = Callable[[SimpleNamespace], Awaitable[SimpleNamespace]]
 """Function that answers a request of a service. It does not raise."""
 

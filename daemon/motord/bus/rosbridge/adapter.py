@@ -5,7 +5,6 @@ clients that connected with the token."""
 
 from __future__ import annotations
 
-import asyncio
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 
@@ -16,6 +15,7 @@ from motord.bus.http_server import HttpServer, tls_context
 from motord.bus.messages.forms import as_json
 from motord.bus.rosbridge.client import RosbridgeClient
 from motord.config import RosbridgeInput, RosbridgeServer
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -44,7 +44,7 @@ class RosbridgeAdapter:
 
     async def run(self) -> None:
         """Implement `Adapter.run`."""
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             if self._gate is not None:
                 tasks.create_task(self._gate.source.run())
             tasks.create_task(self._send())

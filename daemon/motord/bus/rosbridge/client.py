@@ -13,9 +13,12 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
+from motord.api.snapshot import stop_answer
 from motord.bus.commands.gate import TRIGGERS, URGENT, CommandGate, NotTaken, short, tag
+from motord.bus.commands.senders import Sender
 from motord.bus.messages import json_form
 from motord.bus.messages.topics import TOPICS
+from motord_hal.base.tasks import TaskGroup
 
 CALLS_MAX, ANSWERS_MAX = 16, 64
 """Largest number of calls in progress, and of answers that the client has not read yet. A stop and
@@ -62,7 +65,7 @@ class RosbridgeClient:
 
     async def run(self) -> None:
         """Serve the client until it is gone. Raises OSError in a group if its connection fails."""
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             sending = tasks.create_task(self._send_newest())
             async for message in self._connection:
                 if message.type not in (WSMsgType.TEXT, WSMsgType.BINARY):
@@ -80,7 +83,7 @@ class RosbridgeClient:
                 await self._connection.send_str(text)
 
     # -------------------------------------------------------------------------------------- asking
-    async def _take(self, raw: str | bytes, tasks: asyncio.TaskGroup) -> None:
+    async def _take(self, raw: str | bytes, tasks: TaskGroup) -> None:
         try:
             request = json_form.decode(raw)
         except ValueError:
@@ -120,11 +123,11 @@ class RosbridgeClient:
             await self._say("error", "this server only publishes: it takes no messages")
         else:
             try:
-                self._gate.take(topic, message)
+                self._gate.take(topic, message, sender=Sender(key=self))
             except NotTaken as error:
                 await self._say("error", str(error))
 
-    async def _ask(self, request: Mapping[str, Any], tasks: asyncio.TaskGroup) -> None:
+    async def _ask(self, request: Mapping[str, Any], tasks: TaskGroup) -> None:
         urgent = _name(request.get("service")) in URGENT
         if self._calls < (ANSWERS_MAX if urgent else CALLS_MAX):
             self._calls += 1
@@ -169,7 +172,8 @@ class RosbridgeClient:
             done = await self._gate.act(service)
         except NotTaken as error:
             return {"success": False, "message": str(error)}
-        return {"success": True, "message": done["state"]}
+        success, message = stop_answer(service, done)
+        return {"success": success, "message": message}
 
     def _services(self) -> Iterator[str]:
         yield from ("/rosapi/topics", "/rosapi/services")

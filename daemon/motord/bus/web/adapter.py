@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import time
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from aiohttp import web
 
 from motord.api.procedures import OPTIONS, PROCEDURES
+from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.gate import TRIGGERS, URGENT, CommandGate, NotTaken, short
 from motord.bus.http_server import HttpServer, tls_context
 from motord.bus.messages import json_form
@@ -37,12 +39,15 @@ from motord.bus.web.tape import Tape
 from motord.bus.web.viewer import Viewer
 from motord.client import ClientError
 from motord.config import WebInput, WebServer
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
 
 SOCKET = "/socket"
 VIEWERS_MAX = 64
+"""Largest number of pages with the token, and of pages without it."""
+_WHOSE = {True: "with", False: "without"}
 MESSAGE_BYTES_MAX = 65536
 PING_EVERY_S = 5.0
 """Time between two pings. A page that does not answer within half of it counts as gone."""
@@ -65,6 +70,8 @@ AT_ANY_TIME = (
 )  # fmt: skip
 """Calls that are accepted while a procedure runs."""
 
+_log = logging.getLogger(__name__)
+
 
 class WebAdapter:
     """The adapter of the dashboard. It takes views as a motord.bus.feed.Sink."""
@@ -80,7 +87,8 @@ class WebAdapter:
             self._seat = Seat(self._gate, section.lease_s)
         if section.token_file is not None:
             fits = Token(runtime.beside_robot_file(section.token_file)).fits
-        where = f"{table}.{name}"
+        self._where = where = f"{table}.{name}"
+        self._full = RateLimitedLog(_log)
         self._access = Access(section, fits)
         self._events = Events(self._publish_event)
         self._tape = Tape(runtime, lambda: self._publish({"recordings": "changed"}))
@@ -103,7 +111,7 @@ class WebAdapter:
     async def run(self) -> None:
         """Implement `Adapter.run`."""
         with self._events.log.listening():
-            async with asyncio.TaskGroup() as tasks:
+            async with TaskGroup() as tasks:
                 if self._gate is not None:
                     tasks.create_task(self._gate.source.run())
                     tasks.create_task(self._commissioning.run())
@@ -189,9 +197,12 @@ class WebAdapter:
             self._access.check_origin(request)
         except Stranger as error:
             return web.Response(status=HTTPStatus.FORBIDDEN, text=f"{error}\n")
-        if len(self._viewers) >= VIEWERS_MAX:
-            return web.Response(status=HTTPStatus.SERVICE_UNAVAILABLE, text="too many pages\n")
         right = self._access.right(request)
+        # Pages with the token have places of their own: others do not keep them out.
+        if sum(one.has_token == right.token for one in self._viewers) >= VIEWERS_MAX:
+            text = f"too many pages: {VIEWERS_MAX} are open {_WHOSE[right.token]} the token\n"
+            self._full.say(f"{self._where}: {text.strip()}; one more was refused")
+            return web.Response(status=HTTPStatus.SERVICE_UNAVAILABLE, text=text)
         longest = robot_file.MESSAGE_BYTES_MAX if right.command else MESSAGE_BYTES_MAX
         connection = web.WebSocketResponse(
             heartbeat=PING_EVERY_S, timeout=CLOSE_WITHIN_S, max_msg_size=longest,
@@ -223,6 +234,7 @@ class WebAdapter:
         viewer = Viewer(
             connection, name, self._section.rate_hz, seat, self._commissioning, self._call
         )
+        viewer.has_token = right.token
         viewer.may_write = right.command and right.token
         viewer.say(json_form.encode({"hello": self._hello(viewer)}).decode())
         self._show_commissioning(viewer)
@@ -267,7 +279,7 @@ class WebAdapter:
             case _ if method in LOOKS:
                 return await self._look(method)
             case _ if method in tape.LOOKS:
-                return await self._tape.look(method, params)
+                return await self._tape.look(method, params, has_token=viewer.has_token)
         if self._gate is None:
             raise NotTaken("this dashboard only shows the robot: the robot file has no [input.*]")
         if not viewer.may_command:
@@ -279,7 +291,9 @@ class WebAdapter:
             return self._commission(viewer, method, params)
         if method in TRIGGERS:
             self._events.note(viewer.name, method)
-            return await self._gate.act(method, viewer.name)
+            # a person sees on the page who is held, and presses its button
+            by_person = {"release_held": True} if method == "arm" else {}
+            return await self._gate.act(method, viewer.name, **by_person)
         if method in SAVES:
             return await self._save(viewer, dry_run=method == "params.diff")
         if method in robot_file.CALLS:
@@ -293,7 +307,10 @@ class WebAdapter:
         if method == "params.set":
             rows = ", ".join(f"{name} = {value}" for name, value in params.items())
             self._events.note(viewer.name, rows[:200])
-        return await self._gate.ask(method, **params)
+        answer = await self._gate.ask(method, **params)
+        if method == "params.set":
+            self._publish({"parameters": answer})  # before the next status shows it
+        return answer
 
     def _trace(self, viewer: Viewer, line: object) -> dict[str, object]:
         """Show a page the exchanges of a line; None: stop showing them. Raises NotTaken."""

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from motord.api.snapshot import STATES, JointSnapshot, Snapshot
+from motord.api.snapshot import STATES, JointSnapshot, Rest, Snapshot
 from motord.api.words import FAULTS, REASONS
 
 STATE, DRIVE, ACKNOWLEDGE, RELEASE, PRESENT = 1, 1, 2, 3, 4
@@ -22,6 +22,7 @@ FLAGS = ("armed", "enabled", "at_rest", "odometry_degraded")
 Fields = tuple[tuple[str, str], ...]
 _HEAD: Fields = (
     *(("kind", "B"), ("version", "B"), ("joints", "B"), ("state", "B"), ("flags", "B")),
+    ("rest", "B"),
     *(("sequence", "I"), ("owner", "I"), ("reasons", "I"), ("faults", "I"), ("stamp_s", "d")),
 )
 _MEASURES: Fields = (
@@ -36,6 +37,7 @@ _JOINT = tuple(
     (key.name, "d" if key.name == "position_rad" else _CODES[str(key.type)])
     for key in dataclasses.fields(JointSnapshot)
 )
+_RESTS = tuple(Rest)
 _UNKNOWN = 2
 """Value of `enabled` for a drive that cannot report it."""
 _F32_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
@@ -55,6 +57,7 @@ def layout() -> dict[str, Any]:
         "state": [*_HEAD, *_MEASURES],
         "joint": list(_JOINT),
         "states": STATES,
+        "rests": _RESTS,
         "flags": FLAGS,
         "reasons": REASONS,
         "faults": FAULTS,
@@ -76,7 +79,9 @@ class Packer:
         flags = sum(1 << bit for bit, name in enumerate(FLAGS) if getattr(now, name))
         joints = (value for joint in now.joints for value in _values(joint, _JOINT))
         return self._frame.pack(
-            *(STATE, VERSION, self._joints, now.machine_state, flags, sequence & 0xFFFFFFFF),
+            *(STATE, VERSION, self._joints, now.machine_state, flags),
+            _RESTS.index(Rest(now.rest)),
+            sequence & 0xFFFFFFFF,
             now.owner & 0xFFFFFFFF,
             sum(_BITS.get(word, 0) for word in now.reasons),
             sum(_FAULT_BITS.get(word, 0) for word in now.faults),

@@ -24,7 +24,11 @@ class Recordings:
     def __init__(self, folders: Mapping[str, Path]) -> None:
         """`folders`: folders of recordings by the name of their section."""
         self._folders = folders
-        self._tickets: OrderedDict[str, tuple[float, Path]] = OrderedDict()
+        self._tickets: dict[bool, OrderedDict[str, tuple[float, Path]]] = {
+            has_token: OrderedDict() for has_token in (False, True)
+        }
+        """Tickets of pages without the token and of those with it: the ones do not push out the
+        others."""
 
     def listed(self) -> list[dict[str, Any]]:
         """Return the recordings, newest first."""
@@ -46,17 +50,21 @@ class Recordings:
             raise NotTaken("there is no such recording")
         return self._folders[str(section)] / str(name)
 
-    def ticket(self, section: object, name: object) -> str:
+    def ticket(self, section: object, name: object, *, has_token: bool) -> str:
         """Return the address of one download. Raises NotTaken for a file that is not listed."""
         path = self.file(section, name)
         ticket = secrets.token_urlsafe(24)
-        self._tickets[ticket] = (time.monotonic(), path)
-        while len(self._tickets) > TICKETS_MAX:
-            self._tickets.popitem(last=False)
+        tickets = self._tickets[has_token]
+        tickets[ticket] = (time.monotonic(), path)
+        while len(tickets) > TICKETS_MAX:
+            tickets.popitem(last=False)
         return f"{ADDRESS}{ticket}/{name}"
 
     def redeem(self, address: str) -> Path | None:
         """Return the file of an address, once; None: the ticket is unknown, used, or too old."""
         ticket = address.removeprefix(ADDRESS).partition("/")[0]
-        given_s, path = self._tickets.pop(ticket, (0.0, None))
-        return path if time.monotonic() - given_s <= TICKET_S else None
+        for tickets in self._tickets.values():
+            given_s, path = tickets.pop(ticket, (0.0, None))
+            if path is not None:
+                return path if time.monotonic() - given_s <= TICKET_S else None
+        return None

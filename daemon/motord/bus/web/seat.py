@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 from motord.bus.commands.delay import Delays
 from motord.bus.commands.gate import CommandGate, NotTaken
+from motord.bus.commands.senders import Sender
 from motord.bus.web.frames import DriveFrame
 
 SEEN_MAX_S = 1.0
@@ -80,15 +81,14 @@ class Seat:
         self._driver, driver.last_s = driver, now_s
         linear = {"x": command.linear_m_s, "y": command.lateral_m_s, "z": 0.0}
         twist = {"linear": linear, "angular": {"z": command.angular_rad_s}}
-        self._gate.drive(twist, waited_s, driver.name)
+        self._gate.drive(twist, waited_s, Sender(driver.name, driver))
 
     def release(self, driver: Driver, press: int) -> None:
         """End a hold of the pad, also for its commands that still arrive."""
         driver.over = max(driver.over, press)
         if self._driver is driver:
             self._driver, driver.last_s = None, -math.inf
-            self._gate.source.drive(0.0, 0.0)
-            self._gate.source.release()
+            self._gate.rest(Sender(driver.name, driver))
 
     def leave(self, driver: Driver) -> None:
         """End the hold of a page that is gone."""

@@ -39,12 +39,12 @@ class Tape:
         )
         self.replays = Replays(changed)
 
-    async def look(self, method: str, params: Mapping[str, Any]) -> Any:
-        """Answer one of LOOKS. Raises NotTaken."""
+    async def look(self, method: str, params: Mapping[str, Any], *, has_token: bool) -> Any:
+        """Answer one of LOOKS, for a page that has shown the token or one that has not. Raises
+        NotTaken."""
         if method == "ticket":
-            return await asyncio.to_thread(
-                self._files.ticket, params.get("section"), params.get("name")
-            )
+            section, name = params.get("section"), params.get("name")
+            return await asyncio.to_thread(self._files.ticket, section, name, has_token=has_token)
         return self._described(await asyncio.to_thread(self._files.listed))
 
     async def change(self, method: str, params: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from typing import Any
 
 from aiohttp import WSMsgType, web
 
+from motord.api.local_rpc import NEEDS_FORCE
 from motord.bus.commands.gate import URGENT, NotTaken, short, tag
 from motord.bus.messages import json_form
 from motord.bus.web.frames import (
@@ -33,6 +34,7 @@ from motord.bus.web.frames import (
 from motord.bus.web.processes.commissioning import Commissioning
 from motord.bus.web.seat import Driver, Seat
 from motord.client import ClientError
+from motord_hal.base.tasks import TaskGroup
 
 WINDOW_S = 0.75
 RATE_MIN_HZ = 0.5
@@ -84,6 +86,8 @@ class Viewer:
         """`seat`: the driver's place; None for a page that only watches."""
         self.name = name
         self.may_command = seat is not None
+        self.has_token = False
+        """Whether it has shown the token."""
         self.may_write = False
         """Whether it may write any text as the robot file, not just what a procedure has
         measured."""
@@ -139,7 +143,7 @@ class Viewer:
     async def run(self) -> None:
         """Serve the page until it is gone. Raises OSError in a group if its connection fails."""
         try:
-            async with asyncio.TaskGroup() as tasks:
+            async with TaskGroup() as tasks:
                 sending = tasks.create_task(self._send())
                 async for message in self._connection:
                     match message.type:
@@ -218,7 +222,7 @@ class Viewer:
             self._complained_s = now_s
             self._message({"not_driven": why})
 
-    def _take_text(self, raw: str, tasks: asyncio.TaskGroup) -> None:
+    def _take_text(self, raw: str, tasks: TaskGroup) -> None:
         try:
             request = json_form.decode(raw)
         except ValueError:
@@ -248,7 +252,8 @@ class Viewer:
                 raise NotTaken(f"a call has a name and parameters, not {short(method)}")
             self._answer(request, {"result": await self._serve(self, method, params)})
         except (NotTaken, ClientError) as error:
-            self._answer(request, {"error": str(error)})
+            force = getattr(error, "code", None) == NEEDS_FORCE
+            self._answer(request, {"error": str(error)} | ({"needs_force": True} if force else {}))
         except OSError as error:  # out of descriptors, perhaps: no reason to cut the page off
             _log.warning("%s: %s failed: %s", self.name, method, error)
             self._answer(request, {"error": f"the robot's computer: {error.strerror or error}"})

@@ -85,6 +85,8 @@ def calibrate(what: str | None, log: Path | None, as_json: bool, **options: Any)
         with failing(), Terminal(yes=options["yes"]) as person:
             result = _from_log(person, log, options) if log else _live(person, what or "", options)
     except BadData as error:
+        if log is not None:
+            raise Failure(f"{log}: {error}; nothing was written", Exit.USAGE) from error
         raise Failure(f"{error}; nothing was written") from error
     if as_json:
         print_json(result)
@@ -137,6 +139,7 @@ def _from_log(person: Terminal, log: Path, options: dict[str, Any]) -> dict[str,
     from motord.commission.calibrate.geometry import free_of
     from motord.commission.calibrate.log_fit import read_csv, windows
     from motord.commission.calibrate.procedure import fitted
+    from motord.commission.person import Failed
     from motord.commission.robot_file_edit import RobotFileEdit
 
     file = options["robot_file"] or _file_of_daemon(options)
@@ -147,13 +150,16 @@ def _from_log(person: Terminal, log: Path, options: dict[str, Any]) -> dict[str,
 
     sides: dict[str, str] = {n: side_of(robot.base, j) for n, j in robot.joint.items()}
     radii_m = {name: robot.wheel_radius_m(name) for name in robot.joint}
-    if log.suffix == ".mcap":
-        from motord.commission.calibrate.mcap_log import read_mcap
+    try:
+        if log.suffix == ".mcap":
+            from motord.commission.calibrate.mcap_log import read_mcap
 
-        read = read_mcap(log, options["pose_topic"], sides, radii_m)
-    else:
-        read = read_csv(log, sides, radii_m)
-    measures = windows(read)
+            read = read_mcap(log, options["pose_topic"], sides, radii_m)
+        else:
+            read = read_csv(log, sides, radii_m)
+        measures = windows(read)
+    except Failed as error:
+        raise Failure(str(error), Exit.USAGE) from error
     fit = fitted(person, edit, free, measures, robust=True)
     _plot(person, edit, measures, fit, options)
     found = {"what": "log", "geometry": _numbers(measures, fit)}

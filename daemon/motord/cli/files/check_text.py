@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 from motord.cli.status_text import commanders_text
 from motord.config import Robot
-from motord.config.understood import FreeJoint, Understood, Watchdog, Wheel, Wire, understood
+from motord.config.rules.wiring.times import Reaction, Watchdog
+from motord.config.understood import FreeJoint, Understood, Wheel, Wire, understood
 
 KM_H = 3.6
 _WIDTH = 14
@@ -27,6 +28,7 @@ def understood_rows(robot: Robot) -> Iterator[str]:
         *(() if found.joints else base),
         *((f"line {wire.line}", _wire(wire)) for wire in found.wires),
         ("may command", commanders_text(robot.commanders())),
+        *(("reacts after", _reaction(one)) for one in found.reactions),
         *(("kill -9", _watchdog(watchdog)) for watchdog in found.watchdogs),
         *((f"default {name}", _defaults(values)) for name, values in found.defaults.items()),
     ]
@@ -86,12 +88,22 @@ def _wire(wire: Wire) -> str:
 
 def _watchdog(watchdog: Watchdog) -> str:
     joints = ", ".join(watchdog.joints)
+    if not watchdog.known:
+        return f"{joints}: UNKNOWN whether {watchdog.drive} stops: {watchdog.note}"
     if watchdog.stops_within_s is None:
         return f"{joints}: NOTHING stops {watchdog.drive}: {watchdog.note}"
     return (
         f"{joints}: {watchdog.drive} stops by itself within {watchdog.stops_within_s:g} s "
         f"({watchdog.note})"
     )
+
+
+def _reaction(one: Reaction) -> str:
+    if one.travel_m is None:
+        went = f"{one.turn_rad:.2g} rad of the fastest joint"
+    else:
+        went = f"{one.travel_m:.2g} m at top speed"
+    return f"{one.time_s:g} s ({went}): {one.key}"
 
 
 def _defaults(values: dict[str, float | str | bool | None]) -> str:

@@ -13,6 +13,7 @@ from motord.cli.common import Exit, Failure, json_option, print_json
 from motord.cli.complete import drive_names
 from motord.cli.files.new_drive import new_drive
 from motord.config.drives.load import find_profile, list_profiles, load_profile
+from motord.config.drives.unknown import UNKNOWN
 from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register
 
@@ -65,16 +66,21 @@ def drives(
 
 def _check(file: Path, as_json: bool) -> None:
     problems: list[str] = []
+    unknown: tuple[str, ...] = ()
     try:
         profile = load_profile(file)
+        unknown = profile.unknown
     except ProfileError as error:
         problems = str(error).splitlines()
     if as_json:
-        print_json({"ok": not problems, "file": str(file), "problems": problems})
+        found = {"file": str(file), "problems": problems, "unknown": list(unknown)}
+        print_json({"ok": not problems, **found})
     elif problems:
         click.echo("\n".join(problems))
     else:
         click.echo(f"{file}: ok: {profile.name}, {len(profile.registers)} registers")
+        for fact in profile.unknown:
+            click.echo(f"  unknown: {fact}: {UNKNOWN[fact]}")
     if problems:
         raise click.exceptions.Exit(Exit.USAGE)
 
@@ -113,6 +119,7 @@ def _watchdog(profile: DriveProfile) -> str:
     if dog is None:
         fixed_s = profile.watchdog_fixed_s
         what = f"watchdog fixed at {fixed_s:g} s" if fixed_s else "no watchdog"
+        what = "watchdog unknown" if "watchdog" in profile.unknown else what
         return f"{what} ({profile.watchdog_note})"
     return f"watchdog {dog.minimum_s:g} to {dog.maximum_s:g} s, {dog.action}"
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`motord drives new`: begin a drive profile from answers."""
+"""`motord drives new`: begin a drive profile from answers. No fact about the drive has a default:
+what is not answered is left out, and listed in the profile as unknown."""
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,146 +11,96 @@ from pathlib import Path
 import click
 
 from motord.cli.common import Exit, Failure
+from motord.cli.files.drive_questions import QUESTIONS, Answers, Question, Value
+from motord.cli.files.drive_text import UnfitAnswers, drive_text
 from motord.config.drives.load import load_profile
+from motord.config.drives.unknown import BLOCKING, UNKNOWN
+from motord.config.problems import ConfigError
 from motord_hal.base import bounded
 from motord_hal.base.errors import ProfileError
-from motord_hal.base.paths import config_dir
-
-QUESTIONS: tuple[tuple[str, str, str | int], ...] = (
-    ("title", "Maker and model", "My drive"),
-    ("source", "Where its registers are written down (manual, version, page)", "manual"),
-    ("baudrate", "Baud rate", 115200),
-    ("parity", "Parity (none, even, odd)", "none"),
-    ("write_function", "Function that writes (6 or 16)", 6),
-    ("speed_address", "Address of the speed set-point, signed, 16 bits, 1 rpm", 0x0200),
-    ("speed_maximum_rpm", "Fastest speed of the motor in rpm", 3000),
-    ("velocity_address", "Address of the measured speed, signed, 16 bits, 1 rpm", 0x0204),
-    ("enable_address", "Address of the register that enables with 1 and disables with 0", 0x0201),
-    ("watchdog_address", "Address of its communication time-out in ms (-1: it has none)", -1),
-)
-_TEMPLATE = """\
-#:schema {schema}
-# {title}: begun by `motord drives new`. Every address has a source: put its page there.
-schema = 1
-name = "{name}"
-title = "{title}"
-protocol = "modbus-rtu"
-source = "{source}"
-{note}
-[serial]
-baudrate = {baudrate}
-parity = "{parity}"
-stop_bits = 1
-unit = 1
-turnaround_s = 0.02         # longest time until it answers: measure it, or leave it generous
-max_registers = 16
-write_function = {write_function}
-
-[register.target_velocity]
-address = {speed_address:#06x}
-type = "i16"
-unit = "rpm"
-minimum = -{speed_maximum_rpm}
-maximum = {speed_maximum_rpm}
-access = "rw"
-source = "{source}"
-
-[register.velocity]
-address = {velocity_address:#06x}
-type = "i16"
-unit = "rpm"
-access = "r"
-source = "{source}"
-
-[register.enable]
-address = {enable_address:#06x}
-type = "u16"
-access = "rw"
-source = "{source}"
-{watchdog}
-[channel.1]
-velocity_setpoint = "target_velocity"
-velocity = "velocity"
-
-[steps]
-configure = [
-    {{ write = "target_velocity", value = 0 }},
-    {{ write = "enable", value = 0 }},
-]
-arm = [{{ write = "enable", value = 1 }}]
-disarm = [
-    {{ write = "target_velocity", value = 0 }},
-    {{ write = "enable", value = 0 }},
-]
-quick_stop = [
-    {{ write = "target_velocity", value = 0 }},
-    {{ write = "enable", value = 0 }},
-]
-clear_fault = []
-"""
-_WATCHDOG = """
-[register.communication_timeout]
-address = {watchdog_address:#06x}
-type = "u16"
-unit = "ms"
-access = "rw"
-source = "{source}"
-
-[watchdog]
-register = "communication_timeout"
-minimum_s = 0.02
-maximum_s = 10
-action = "stops the motor"
-"""
-_NOTE = 'watchdog_note = "it has none: give the robot an e-stop that cuts its power"\n'
 
 
 def new_drive(path: Path, answers_file: Path | None) -> None:
-    """Write a new profile and check it. Never overwrites a file."""
+    """Write a new profile, check it and list what is unknown. Never overwrites a file."""
     if path.suffix != ".toml":
         path = path.with_name(f"{path.name}.toml")
     if path.exists():
         raise Failure(f"{path} is there already: name another file", Exit.USAGE)
-    text = _filled(path.stem, _ask() if answers_file is None else _read(answers_file))
+    answers = _ask() if answers_file is None else _read(answers_file)
+    try:
+        text, unknown = drive_text(path.stem, answers)
+    except UnfitAnswers as error:
+        raise Failure(str(error), Exit.USAGE) from None
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
-        load_profile(path)
     except OSError as error:
         raise Failure(f"{path}: {error.strerror}", Exit.USAGE) from error
-    except ProfileError as error:
+    if wrong := _wrong(path, unknown):
         path.unlink()
-        raise Failure(f"these answers give no valid profile:\n{error}", Exit.USAGE) from None
-    click.echo(f"{path}: written. Next: put in what is missing (faults, current, counter), then")
+        raise Failure(f"these answers give no valid profile:\n{wrong}", Exit.USAGE)
+    click.echo(f"{path}: written")
+    for fact in unknown:
+        click.echo(f"  unknown: {fact}: {UNKNOWN[fact]}")
+    if any(fact in BLOCKING for fact in unknown):
+        click.echo(
+            "A robot with this drive does not pass `motord check` before these are filled in."
+        )
+    click.echo("Next: put in what is missing (faults, current, counter), then")
     click.echo(f"  motord drives --check {path}")
 
 
-def _ask() -> dict[str, str | int]:
-    return {key: click.prompt(text, default=default) for key, text, default in QUESTIONS}
+def _wrong(path: Path, unknown: list[str]) -> str:
+    """Return the problems of the file that do not follow from what is unknown."""
+    try:
+        load_profile(path)
+    except ProfileError as error:
+        found = error.__cause__
+        assert isinstance(found, ConfigError)  # load_profile
+        follows = ["unknown"]
+        follows += ["serial"] if "serial" in unknown else []
+        follows += ["register.target_velocity."] if {"sign", "order"} & {*unknown} else []
+        others = [one for one in found.problems if not one.key.startswith(tuple(follows))]
+        return "\n".join(map(str, others))
+    return ""
 
 
-def _read(file: Path) -> dict[str, str | int]:
+def _ask() -> Answers:
+    click.echo("An empty answer means that you do not know: it is left out, and listed as unknown.")
+    answers: Answers = {}
+    for question in QUESTIONS:
+        if question.is_asked(answers) and (value := _ask_one(question)) is not None:
+            answers[question.key] = value
+    return answers
+
+
+def _ask_one(question: Question) -> Value | None:
+    while True:
+        typed = str(click.prompt(question.text, default="", show_default=False)).strip()
+        if not typed:
+            return None
+        try:
+            return question.typed(typed)
+        except ValueError as error:
+            click.echo(f"  {error}")
+
+
+def _read(file: Path) -> Answers:
     try:
         given: Mapping[str, object] = bounded.toml(bounded.read(file).decode())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise Failure(f"{file}: {error}", Exit.USAGE) from error
-    answers = {key: default for key, _, default in QUESTIONS}
+    questions = {question.key: question for question in QUESTIONS}
+    answers: Answers = {}
     for key, value in given.items():
-        if key not in answers:
-            raise Failure(f"{file}: {key}: known are {', '.join(answers)}", Exit.USAGE)
-        kind = type(answers[key])
-        if isinstance(value, bool) or not isinstance(value, kind):
-            raise Failure(f"{file}: {key}: {value!r} must be {kind.__name__}", Exit.USAGE)
-        answers[key] = value
+        if key not in questions:
+            raise Failure(f"{file}: {key}: known are {', '.join(questions)}", Exit.USAGE)
+        try:
+            answers[key] = questions[key].checked(value)
+        except ValueError as error:
+            raise Failure(f"{file}: {key}: {error}", Exit.USAGE) from None
+    for question in QUESTIONS:
+        if question.key in answers and not question.is_asked(answers):
+            text = f"{file}: {question.key}: does not fit the other answers"
+            raise Failure(text, Exit.USAGE)
     return answers
-
-
-def _filled(name: str, answers: dict[str, str | int]) -> str:
-    for key, value in answers.items():
-        if isinstance(value, str) and not re.fullmatch(r'[^"\\\x00-\x1f\x7f]+', value):
-            raise Failure(f"{key}: no quotes, backslashes or control characters", Exit.USAGE)
-    has_one = int(answers["watchdog_address"]) >= 0
-    watchdog = _WATCHDOG.format(**answers) if has_one else ""
-    note = "" if has_one else _NOTE
-    schema = (config_dir() / "schema" / "drive.schema.json").as_uri()
-    return _TEMPLATE.format(schema=schema, name=name, note=note, watchdog=watchdog, **answers)

@@ -41,6 +41,7 @@ class JointValue(click.ParamType[tuple[str, float]]):
     help="Command for this long. Default: until all positions are reached; with a speed, until "
     "Ctrl-C.",
 )
+@click.option("--clamp", is_flag=True, help="Go to the end of the range for a position beyond it.")
 @owner_option("motord-joints")
 @json_option
 @talking
@@ -48,13 +49,15 @@ def joints(
     client: Client,
     wanted: tuple[tuple[str, float], ...],
     seconds: float | None,
+    clamp: bool,
     owner: str,
     as_json: bool,
 ) -> None:
     """Move joints of a robot without a base: a pan-tilt head, a lift, a conveyor.
 
     A joint that takes positions goes to VALUE in rad, another one turns at VALUE rad/s. Joints that
-    are not named rest. The robot must be armed. Without --seconds it is an error if a position is
+    are not named rest. The robot must be armed. A position beyond the joint's range is refused.
+    Without --seconds it is an error if a position is
     not reached within 30 s.
 
     \b
@@ -69,7 +72,7 @@ def joints(
     arrived, start_s = False, time.monotonic()
     with interruptible() as interrupts:
         while not interrupts and (end_s is None or time.monotonic() - start_s < end_s):
-            client.joints(position_rad, velocity_rad_s, owner=owner)
+            client.joints(position_rad, velocity_rad_s, clamp=clamp, owner=owner)
             arrived = _arrived(client.status(), position_rad)
             if arrived and seconds is None and not turns:
                 break
@@ -89,5 +92,8 @@ def joints(
 def _arrived(status: dict[str, Any], position_rad: dict[str, float]) -> bool:
     """Return whether the robot is at rest with all joints at their positions."""
     at = {name: joint["position_rad"] for name, joint in status["joints"].items()}
-    off_rad = [abs((at[name] or 0.0) - goal) for name, goal in position_rad.items()]
-    return bool(status["at_rest"]) and all(off <= ARRIVED_RAD for off in off_rad)
+    there = (
+        at[name] is not None and abs(at[name] - goal) <= ARRIVED_RAD
+        for name, goal in position_rad.items()
+    )
+    return bool(status["at_rest"]) and all(there)

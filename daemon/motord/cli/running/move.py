@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -116,28 +117,22 @@ def _carry_out(client: Client, goal: Goal, *, as_json: bool) -> None:
 
 
 class _Display:
-    """Progress on stderr: once the limit that the robot sets to the speed, and on a terminal one
-    line with the distance so far, which is overwritten and which `close` ends."""
+    """Progress on a terminal: one line with the distance so far, which is overwritten and which
+    `close` ends."""
 
     def __init__(self, goal: Goal) -> None:
-        self._goal = goal
         self._unit = _UNITS[goal.axis]
         self._began = False
 
     def __call__(self, motion: Motion, newest: Snapshot) -> None:
-        asked, most, unit = self._goal.velocity_u_s, motion.plan.velocity_u_s, self._unit
-        if not self._began and asked > most:
-            text = (
-                f"{asked:g} {unit}/s is above what the robot may do: limited to {most:g} {unit}/s"
-            )
-            click.echo(text, err=True)
         self._began = True
         if not sys.stderr.isatty():
             return
         text = (
-            f"{motion.distance_u:8.3f} {unit} of {motion.plan.distance_u:g}   "
-            f"{newest.linear_m_s:6.2f} m/s {newest.angular_rad_s:6.2f} rad/s"
-        )
+            f"{motion.distance_u:8.3f} {self._unit} of {motion.plan.distance_u:g}   "
+            + ("speed not known" if math.isnan(newest.linear_m_s) else
+               f"{newest.linear_m_s:6.2f} m/s {newest.angular_rad_s:6.2f} rad/s")
+        )  # fmt: skip
         click.echo(f"\r\033[K{text}", nl=False, err=True)
 
     def close(self) -> None:

@@ -18,6 +18,12 @@ from motord.cli.running.talk import talking
 from motord.client import Client, ClientError
 from motord_hal.base import bounded
 
+force_option = click.option(
+    "--force",
+    is_flag=True,
+    help="Also set limits beyond those of the robot file.",
+)
+
 
 @click.group
 def params() -> None:
@@ -71,15 +77,20 @@ def params_get(client: Client, names: tuple[str, ...], as_json: bool) -> None:
 @click.argument(
     "assignments", metavar="NAME=VALUE...", nargs=-1, required=True, shell_complete=settable_names
 )
+@force_option
 @json_option
 @talking
-def params_set(client: Client, assignments: tuple[str, ...], as_json: bool) -> None:
+def params_set(client: Client, assignments: tuple[str, ...], force: bool, as_json: bool) -> None:
     """Change limits and gains, all or none, and registers; inf: no limit.
+
+    A limit above the robot file's, or one by which a stop goes further, needs --force. No speed
+    goes above what the wheels can do.
 
     \b
     Example: motord params set limits.linear_m_s=0.3 limits.linear_m_s3=inf
     """
-    _show_values(client.params_set(**_assignments(client, assignments)), as_json=as_json)
+    wanted = _assignments(client, assignments)
+    _show_values(client.params_set(**wanted, **_forced(force)), as_json=as_json)
 
 
 @params.command("save")
@@ -141,9 +152,10 @@ def params_dump(client: Client) -> None:
 
 @params.command("load")
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@force_option
 @json_option
 @talking
-def params_load(client: Client, file: Path, as_json: bool) -> None:
+def params_load(client: Client, file: Path, force: bool, as_json: bool) -> None:
     """Set the values of a file that `dump` has printed, limits first.
 
     \b
@@ -156,10 +168,14 @@ def params_load(client: Client, file: Path, as_json: bool) -> None:
     assignments = _assignments(client, [f"{name}={value}" for name, value in wanted.items()])
     of_drives = {name: one for name, one in assignments.items() if name.startswith("drive.")}
     ours = {name: one for name, one in assignments.items() if name not in of_drives}
-    done = client.params_set(**ours) if ours else {}
+    done = client.params_set(**ours, **_forced(force)) if ours else {}
     if of_drives:
         done |= client.params_set(**of_drives)
     _show_values(done, as_json=as_json)
+
+
+def _forced(force: bool) -> dict[str, bool]:
+    return {"force": True} if force else {}
 
 
 def _leaves(prefix: str, table: dict[str, Any]) -> Iterator[tuple[str, Any]]:

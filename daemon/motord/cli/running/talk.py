@@ -14,12 +14,14 @@ from typing import Any
 
 import click
 
-from motord.api.halting import halt
+from motord.api.halting import RestFound, found_rest, halt
 from motord.api.local_rpc import WrongParams
+from motord.api.snapshot import Rest
+from motord.api.stop_request import Hang
 from motord.cli.common import FINITE, Exit, Failure, json_option, print_json, usual_option
 from motord.cli.complete import robot_names
-from motord.cli.status_text import show_status
-from motord.client import Client, ClientError, Refused, find_socket, find_sockets
+from motord.cli.status_text import held_text, show_status, speed_text
+from motord.client import Client, ClientError, Refused, find_socket
 
 SEND_PERIOD_S = 0.05
 WHY_WITHIN_S = 1.0
@@ -98,13 +100,48 @@ def _status_of_refusal_at(path: Path) -> Exit:
     return Exit.FAILED
 
 
+def report_hang(hang: Hang) -> None:
+    """Show at once that the daemon hangs."""
+    click.echo(hang, err=True)
+
+
 def _halted(path: Path, state: str, *, as_json: bool) -> None:
-    """Show the resulting state, and why it is latched if the daemon still answers."""
-    why: list[str] = []
+    """Show the resulting state, why it is latched and who is held if the daemon still answers, and
+    what is known of the robot's rest. The status is 0 only if the robot was seen at rest."""
+    if not as_json:
+        click.echo(state)
+    rest = found_rest(path)
+    status: dict[str, Any] = {}
+    with contextlib.suppress(ClientError), Client(path, timeout_s=WHY_WITHIN_S) as client:
+        status = client.status()
+    held = status.get("held", [])
+    if as_json:
+        print_json({"state": state, **rest_report(rest), "held": held})
+    elif held:
+        click.echo(held_text(held), err=True)
     if state in _LATCHED:
-        with contextlib.suppress(ClientError), Client(path, timeout_s=WHY_WITHIN_S) as client:
-            why = client.status()["why"]
-    _show_state(state, why, as_json=as_json)
+        for reason in status.get("why", []):
+            click.echo(reason, err=True)
+    exit_status = say_rest(rest)
+    if state in _LATCHED or exit_status is not Exit.DONE:
+        raise click.exceptions.Exit(Exit.FAULT if state in _LATCHED else exit_status)
+
+
+def robot_of(socket: Path) -> str:
+    return socket.name.removesuffix(".sock")
+
+
+def rest_report(found: RestFound) -> dict[str, Any]:
+    return {"rest": found.rest, "rest_unknown_s": found.unknown_s}
+
+
+def say_rest(found: RestFound) -> Exit:
+    """Show what a person has to know of the robot's rest; return the exit status that follows."""
+    if found.text:
+        click.echo(found.text, err=True)
+    return {Rest.AT_REST: Exit.DONE, Rest.TURNING: Exit.FAILED, Rest.UNKNOWN: Exit.FAULT}[
+        found.rest
+    ]
 
 
 def _print_state(client: Client, state: str, *, as_json: bool) -> None:
@@ -112,11 +149,16 @@ def _print_state(client: Client, state: str, *, as_json: bool) -> None:
     _show_state(state, client.status()["why"] if state in _LATCHED else [], as_json=as_json)
 
 
-def _show_state(state: str, why: list[str], *, as_json: bool) -> None:
+def _show_state(
+    state: str, why: list[str], *, as_json: bool, held: list[dict[str, Any]] | None = None
+) -> None:
+    """`held`: the sources that are held; None: this command does not say."""
     if as_json:
-        print_json({"state": state})
+        print_json({"state": state} | ({} if held is None else {"held": held}))
     else:
         click.echo(state)
+        if held:
+            click.echo(held_text(held), err=True)
     if state in _LATCHED:
         for reason in why:
             click.echo(reason, err=True)
@@ -150,10 +192,16 @@ def status(client: Client, as_json: bool) -> None:
 def arm(client: Client, as_json: bool) -> None:
     """Power the drives at zero speed. After this, a command moves the robot.
 
+    A source that requested motion in the 5 s before, and has not sent zero since, is held. If the
+    robot is armed already, this command lets all that are held go on.
+
     \b
     Example: motord arm && motord drive 0.2 0
     """
-    _print_state(client, client.arm(), as_json=as_json)
+    answer = client.call("arm", release_held=True)
+    if answer["released"]:
+        click.echo(f"not held any more: {', '.join(answer['released'])}", err=True)
+    _show_state(answer["state"], [], as_json=as_json, held=answer["held"])
 
 
 @click.command
@@ -165,7 +213,7 @@ def disarm(path: Path, as_json: bool) -> None:
     \b
     Example: motord disarm
     """
-    _halted(path, halt(path, "disarm"), as_json=as_json)
+    _halted(path, halt(path, "disarm", report=report_hang), as_json=as_json)
 
 
 @click.command
@@ -174,48 +222,13 @@ def disarm(path: Path, as_json: bool) -> None:
 def stop(path: Path, as_json: bool) -> None:
     """Come to rest and stay armed.
 
-    A program that keeps sending commands is ignored until it sends zero or pauses.
+    A program that requests motion before, during or after it is held: it moves nothing until it
+    sends zero once or is started anew, or until you run motord arm again. A pause changes nothing.
 
     \b
     Example: motord stop
     """
-    _halted(path, halt(path, "stop"), as_json=as_json)
-
-
-@click.command
-@json_option
-@robot_option
-@socket_option
-def estop(robot: str | None, path: Path | None, as_json: bool) -> None:
-    """Emergency stop: all robots on this machine, or one with --robot.
-
-    The stop is latched until you run motord reset. It does not replace a button that cuts the
-    power.
-
-    \b
-    Example: motord estop
-             motord estop --robot cart
-    """
-    states, problems = {}, []
-    try:
-        sockets = [path] if path else find_sockets(robot)
-    except ClientError as error:
-        raise Failure(str(error)) from error
-    for socket in sockets:  # if one robot does not answer, the others are stopped all the same
-        try:
-            states[socket.name.removesuffix(".sock")] = halt(socket, "estop")
-        except ClientError as error:
-            problems.append(str(error))
-    if as_json and not problems:
-        one = {"state": next(iter(states.values()))} if len(states) == 1 else {}
-        print_json({**one, "robots": states})
-    elif len(sockets) == 1:
-        click.echo("".join(states.values()))
-    else:
-        for name, state in states.items():
-            click.echo(f"{name}: {state}")
-    if problems:
-        raise Failure("; ".join(problems))
+    _halted(path, halt(path, "stop", report=report_hang), as_json=as_json)
 
 
 @click.command
@@ -340,7 +353,7 @@ def _progress(
     found = client.status()
     at = found["odometry"]
     text = (
-        f"{found['state']:9} {at['linear_m_s']:6.2f} m/s {at['angular_rad_s']:6.2f} rad/s   "
+        f"{found['state']:9} {speed_text(at)}   "
         f"x {at['x_m']:.2f} m  y {at['y_m']:.2f} m  heading {at['heading_rad']:.2f} rad"
     )
     if answer is not None and not answer["in_command"]:

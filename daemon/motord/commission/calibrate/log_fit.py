@@ -8,6 +8,7 @@ known."""
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import math
 from collections.abc import Mapping
@@ -18,6 +19,7 @@ import numpy as np
 
 from motord.api.geometry_fit import Array, Measure, Pose
 from motord.commission.person import Failed
+from motord_hal.base import bounded
 
 COLUMNS = ("time_s", "x_m", "y_m", "heading_rad")
 ROWS_MAX = 2_000_000
@@ -44,7 +46,7 @@ def read_csv(path: Path, sides: Mapping[str, str], radii_m: Mapping[str, float])
     joints = [f"{name}_rad" for name in sides]
     rows: list[list[float]] = []
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with io.TextIOWrapper(bounded.opened(path), encoding="utf-8", newline="") as file:
             reader = csv.DictReader(file)
             lacking = [key for key in (*COLUMNS, *joints) if key not in (reader.fieldnames or ())]
             if lacking:
@@ -56,7 +58,9 @@ def read_csv(path: Path, sides: Mapping[str, str], radii_m: Mapping[str, float])
                 if len(rows) >= ROWS_MAX:
                     raise Failed(f"{path}: has more than {ROWS_MAX} rows: cut it")
                 rows.append(_numbers(path, number, [row[key] for key in (*COLUMNS, *joints)]))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except OSError as error:
+        raise Failed(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
         raise Failed(f"{path}: cannot be read: {error}") from error
     if len(rows) < 2:
         raise Failed(f"{path}: has no samples")

@@ -30,12 +30,16 @@ def read_mcap(
     topics: set[str] = set()
     for name, message in _messages(path):
         topics.add(name)
-        if name == topic:
-            poses.append(_pose(path, message))
-        elif name.rpartition("/")[2] == JOINTS:
-            found = dict(zip(message.name, message.position, strict=False))
-            if all(joint in found for joint in sides):
-                joints.append([_stamp_s(message), *(found[joint] for joint in sides)])
+        try:
+            if name == topic:
+                poses.append(_pose(message))
+            elif name.rpartition("/")[2] == JOINTS:
+                found = dict(zip(message.name, message.position, strict=False))
+                if all(joint in found for joint in sides):
+                    joints.append([_stamp_s(message), *(float(found[joint]) for joint in sides)])
+        except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
+            kinds = "PoseStamped or Odometry" if name == topic else "JointState"
+            raise Failed(f"{path}: a message on {name} is no {kinds}: {error}") from error
         if len(joints) + len(poses) > ROWS_MAX:
             raise Failed(f"{path}: has more than {ROWS_MAX} messages: cut it")
     if not poses or not joints:
@@ -67,32 +71,30 @@ def _joined(
 
 def _messages(path: Path) -> Iterator[tuple[str, Any]]:
     try:
-        from mcap.exceptions import McapError
-        from mcap.reader import make_reader
+        from mcap_ros2._vendor.rosidl_adapter.parser import InvalidSpecification, InvalidValue
         from mcap_ros2.decoder import DecoderFactory
+
+        from motord.base.mcap_file import DamagedFile, decoded_messages
     except ImportError as error:
         raise Failed(f"MCAP needs more packages: {how_to_install('calibrate')}") from error
     try:
-        with path.open("rb") as file:
-            reader = make_reader(file, decoder_factories=[DecoderFactory()])
-            for _, channel, _, message in reader.iter_decoded_messages():
-                yield channel.topic, message
-    except (OSError, McapError, ValueError) as error:
-        raise Failed(f"{path}: cannot be read: {error}") from error
+        of_schemas = (InvalidSpecification, InvalidValue, NameError)
+        yield from decoded_messages(path, [DecoderFactory()], of_schemas)
+    except DamagedFile as error:
+        raise Failed(str(error)) from error
+    except OSError as error:
+        raise Failed(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-def _pose(path: Path, message: Any) -> list[float]:
+def _pose(message: Any) -> list[float]:
     pose = message.pose
     pose = getattr(pose, "pose", pose)  # nav_msgs/Odometry has a pose with a covariance
-    try:
-        at, turn = pose.position, pose.orientation
-    except AttributeError as error:
-        raise Failed(f"{path}: the poses are neither PoseStamped nor Odometry") from error
+    at, turn = pose.position, pose.orientation
     # yaw of a quaternion: REP 103, rotation about z
     heading_rad = math.atan2(
         2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y**2 + turn.z**2)
     )
-    return [_stamp_s(message), at.x, at.y, heading_rad]
+    return [_stamp_s(message), float(at.x), float(at.y), heading_rad]
 
 
 def _stamp_s(message: Any) -> float:

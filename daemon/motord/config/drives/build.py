@@ -20,6 +20,7 @@ from motord.config.drives.tables import (
     EnabledWhen,
     FaultCode,
     HoldingRegister,
+    IdentityRead,
     MotorChannel,
     ReverseRegister,
     TargetHandshake,
@@ -34,6 +35,7 @@ from motord_hal.drives.profile import (
     FaultBit,
     Gap,
     Handshake,
+    Identity,
     Register,
     RegisterType,
     Step,
@@ -68,6 +70,7 @@ def build(file: DriveFile, path: Path, problems: Problems) -> DriveProfile:
         disarm=_steps("disarm", file.steps.disarm, problems),
         quick_stop=_steps("quick_stop", file.steps.quick_stop, problems),
         clear_fault=_steps("clear_fault", file.steps.clear_fault, problems),
+        identity=tuple(_identity(table) for table in file.identity),
         enabled=_of_register(Enabled, file.enabled),
         power_off=_of_register(Enabled, file.power_off),
         absolute=file.absolute,
@@ -75,6 +78,7 @@ def build(file: DriveFile, path: Path, problems: Problems) -> DriveProfile:
         watchdog=_of_register(Watchdog, file.watchdog),
         watchdog_note=file.watchdog_note or "",
         watchdog_fixed_s=file.watchdog_fixed_s or 0.0,
+        unknown=tuple(file.unknown),
         faults=tuple(_fault(index, fault, problems) for index, fault in enumerate(file.faults)),
         bus_voltage=file.bus_voltage,
         bridge=bridge_of(file.bridge, problems) if file.bridge else None,
@@ -83,7 +87,7 @@ def build(file: DriveFile, path: Path, problems: Problems) -> DriveProfile:
 
 def _on_serial(file: DriveFile, problems: Problems) -> dict[str, Any]:
     """Return the settings of a drive on a serial line, and its registers."""
-    _check_absent(file, ("can", "frame", "signal", "object"), problems)
+    _check_absent(file, ("can", "frame", "signal", "object", "reserved"), problems)
     if not file.registers:
         problems.add("register", "there is no register")
     serial = file.serial
@@ -128,7 +132,7 @@ def _on_can(file: DriveFile, problems: Problems) -> dict[str, Any]:
             "max_registers": 1,
             "write_function": 6,
         }
-    table = can_table(can, file.frames, problems)
+    table = can_table(can, file.frames, file.reserved, problems)
     signals = can_signals(file.signals, table.frames, file.motor.pole_pairs, problems)
     for name, entry in file.objects.items():
         if entry.type is None:
@@ -235,6 +239,13 @@ def _step(key: str, step: AnyStep, problems: Problems) -> Step:
         plus_node=step.plus_node,
         cycle=step.cycle,
         if_different=step.if_different,
+    )
+
+
+def _identity(table: IdentityRead) -> Identity:
+    others = tuple((int(value), name) for value, name in table.others.items())
+    return Identity(
+        register=table.register_name, mask=table.mask, values=tuple(table.values), others=others
     )
 
 

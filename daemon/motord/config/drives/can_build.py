@@ -5,10 +5,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from motord.config.drives.can_tables import CanBus, CanFrame, CanSignal
+from motord.config.drives.can_tables import CanBus, CanFrame, CanSignal, ReservedIds
 from motord.config.drives.problems import Problems
 from motord_hal.base.nearest import did_you_mean
-from motord_hal.drives.can_profile import SIZES_FD, STANDARD_ID_MAX, CanTable, Frame, Sender, Signal
+from motord_hal.drives.can_profile import (
+    EXTENDED_ID_MAX,
+    SIZES_FD,
+    STANDARD_ID_MAX,
+    CanTable,
+    Frame,
+    Reserved,
+    Sender,
+    Signal,
+)
 from motord_hal.drives.profile import Register, RegisterType
 
 _ANY_BYTE = -1
@@ -16,8 +25,13 @@ _ANY_BYTE = -1
 _CLASSIC_BYTES_MAX = 8
 
 
-def can_table(can: CanBus, frames: Mapping[str, CanFrame], problems: Problems) -> CanTable:
-    """Return the table of [can] and [frame.*]."""
+def can_table(
+    can: CanBus,
+    frames: Mapping[str, CanFrame],
+    reserved: Mapping[str, ReservedIds],
+    problems: Problems,
+) -> CanTable:
+    """Return the table of [can], [frame.*] and [reserved.*]."""
     found = {name: _frame(name, frame, can, problems) for name, frame in frames.items()}
     if not found:
         problems.add("frame", "there is no frame")
@@ -28,7 +42,26 @@ def can_table(can: CanBus, frames: Mapping[str, CanFrame], problems: Problems) -
         idle_setpoints=can.idle_setpoints,
         hello=can.hello or "",
         sync=_frame_name("can.sync", can.sync, found, problems),
+        reserved=tuple(_reserved(name, ids, can, problems) for name, ids in reserved.items()),
     )
+
+
+def _reserved(name: str, table: ReservedIds, can: CanBus, problems: Problems) -> Reserved:
+    extended = can.extended if table.extended is None else table.extended
+    most = EXTENDED_ID_MAX if extended else STANDARD_ID_MAX
+    found = Reserved(
+        name=name,
+        base=table.id,
+        mask=most if table.mask is None else table.mask,
+        node_shift=can.node_shift if table.node_shift is None else table.node_shift,
+        extended=extended,
+        sender=Sender(table.sender),
+        addressed=table.addressed,
+        source=table.source,
+    )
+    if max(found.identifier(can.node_max), found.mask) > most:
+        problems.add(f"reserved.{name}.id", f"with node {can.node_max} it is beyond {most:#x}")
+    return found
 
 
 def _frame(name: str, table: CanFrame, can: CanBus, problems: Problems) -> Frame:

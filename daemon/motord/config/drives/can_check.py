@@ -28,6 +28,7 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
     for one, other in combinations(table.frames_from(Sender.DRIVE), 2):
         if one.base == other.base and _same_beginning(one, other):
             problems.add(f"frame.{other.name}.id", f"cannot be distinguished from frame {one.name}")
+    _check_senders(table, problems)
     for signal in profile.registers.values():
         if isinstance(signal, Signal) and signal.frame:
             _check_signal(table.frames[signal.frame], signal, problems)
@@ -43,6 +44,17 @@ def check_can(profile: DriveProfile, table: CanTable, problems: Problems) -> Non
     for channel in profile.channels.values():
         _check_rest(profile.registers.get(channel.setpoint), problems)
     _check_presence(profile, table, problems)
+
+
+def _check_senders(table: CanTable, problems: Problems) -> None:
+    """Check that each identifier has one sender: two that send it at once destroy both frames."""
+    node = table.node_min
+    for sent in table.frames_from(Sender.MOTORD):
+        for received in table.frames_from(Sender.DRIVE):
+            ends = [(one.identifier(node), one.is_extended(node)) for one in (sent, received)]
+            if ends[0] == ends[1]:
+                text = f"is sent by motord ({sent.name}) and by the drive ({received.name})"
+                problems.add(f"frame.{sent.name}.id", text)
 
 
 def _check_rest(setpoint: Register | None, problems: Problems) -> None:

@@ -93,6 +93,25 @@ class CanFrame(Section):
     node_byte: int | None = number("the byte of its data that holds the node", 0, 63, "1", None)
 
 
+class ReservedIds(Section):
+    """[reserved.NAME]: identifiers that are this drive's on the CAN bus beside its frames. No other
+    drive of the bus may have them."""
+
+    id: int = number("identifier with node 0", 0, EXTENDED_ID_MAX, "1")
+    mask: int | None = number(
+        "bits of the identifier that count; all if left out", 0, EXTENDED_ID_MAX, "1", None
+    )
+    sender: Literal["motord", "drive"] = "drive"
+    """"drive": the drive may send them; "motord": it obeys them."""
+    node_shift: int | None = number("as in [can]", 0, 24, "1", None)
+    extended: bool | None = None
+    """Whether these identifiers have 29 bits; by default as in [can]."""
+    addressed: bool = True
+    """Whether the identifier contains the node number."""
+    source: Text
+    """The page or table where this can be checked."""
+
+
 class CanSignal(Scaled):
     """[signal.NAME]: a value in a frame. With `dbc`, the DBC file has what is left out."""
 
@@ -140,4 +159,13 @@ class CanObject(Section):
     """The page or table where this can be checked."""
 
 
-__all__ = ["Access", "CanBus", "CanFrame", "CanObject", "CanSignal", "DbcFile", "EdsFile"]
+__all__ = [
+    "Access",
+    "CanBus",
+    "CanFrame",
+    "CanObject",
+    "CanSignal",
+    "DbcFile",
+    "EdsFile",
+    "ReservedIds",
+]

@@ -7,6 +7,7 @@ from itertools import combinations
 
 from motord.config.drives.can_check import check_can
 from motord.config.drives.problems import Problems
+from motord.config.drives.unknown import check_unknown
 from motord_hal.base.nearest import did_you_mean
 from motord_hal.drives.profile import (
     Channel,
@@ -26,6 +27,8 @@ _CHANNEL_RULES: dict[str, tuple[tuple[str, ...], str]] = {
     "torque_setpoint": (("n_m",), "w"),
     "position_setpoint": (("count", "turn"), "w"),
     "position": (("count", "turn"), "r"),
+    "position_least": (("count", "turn"), "r"),
+    "position_greatest": (("count", "turn"), "r"),
     "velocity": (_SPEED_UNITS, "r"),
     "current": (("a",), "r"),
     "temperature": (("c",), "r"),
@@ -63,6 +66,7 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
     """Add a problem for everything that does not fit together."""
     if profile.name and profile.name != profile.path.stem:
         problems.add("name", f'"{profile.name}" must be the file\'s name, "{profile.path.stem}"')
+    check_unknown(profile, problems)
     if profile.can is not None:
         check_can(profile, profile.can, problems)
     else:
@@ -75,6 +79,7 @@ def check_profile(profile: DriveProfile, problems: Problems) -> None:
     for name in ("disarm", "quick_stop"):
         if not getattr(profile, name):
             problems.add(f"steps.{name}", "must have a step: every drive can at least be sent zero")
+    _check_identity(profile, problems)
     _check_enabled(profile, problems)
     _check_watchdog(profile, problems)
     _check_faults(profile, problems)
@@ -295,6 +300,14 @@ def _check_position(profile: DriveProfile, key: str, channel: Channel, problems:
         return
     if profile.protocol == "pwm":
         return
+    if channel.move_velocity is not None:
+        key_of = f"{key}.move_velocity"
+        _reference(profile, key_of, channel.move_velocity, "w", _SPEED_UNITS, problems)
+        written = {step.register for step in profile.configure if step.value is not None}
+        if channel.move_velocity not in written | dict(channel.setpoint_with).keys():
+            problems.add(key_of, "no step of configure writes it, and setpoint_with does not")
+    if (channel.position_least is None) != (channel.position_greatest is None):
+        problems.add(key, "position_least and position_greatest go together")
     target = profile.registers.get(channel.position_setpoint or "")
     position = profile.registers.get(channel.position or "")
     if channel.position is None:
@@ -432,6 +445,17 @@ def _check_enabled(profile: DriveProfile, problems: Problems) -> None:
         if place.equals & ~place.mask:
             never = f"never true: {place.equals:#x} has bits outside {place.mask:#x}"
             problems.add(key, never)
+
+
+def _check_identity(profile: DriveProfile, problems: Problems) -> None:
+    for number, one in enumerate(profile.identity):
+        key = f"identity[{number}]"
+        _reference(profile, f"{key}.register", one.register, "r", (), problems)
+        if not one.values:
+            problems.add(f"{key}.values", "there is no value")
+        for value in one.values:
+            if value & ~one.mask:
+                problems.add(key, f"never true: {value:#x} has bits outside {one.mask:#x}")
 
 
 def _check_watchdog(profile: DriveProfile, problems: Problems) -> None:

@@ -75,7 +75,8 @@ def with_dbc(
             for name, signal in profile.signals.items()
         }
         reader.check_whole()
-        data = {**data, "frame": frames, "signal": signals}
+        reserved = {**reader.reserved(node, shift), **data.get("reserved", {})}
+        data = {**data, "frame": frames, "signal": signals, "reserved": reserved}
     if problems := [*reader.of_file, *places.sorted(reader.problems.found, warnings=False)]:
         raise ConfigError(problems)
     return data
@@ -172,6 +173,24 @@ class _Reader:
         if by_drive and message.cycle_time and "ask" not in given:
             found["period_s"] = message.cycle_time / 1000
         return self._agreed(key, given, found)
+
+    def reserved(self, node: int, shift: int) -> dict[str, Mapping[str, Any]]:
+        """Return the tables of the drive's messages that no frame names."""
+        named = [message.name for message in self._named.values()]
+        found: dict[str, Mapping[str, Any]] = {}
+        for message in self._messages.values():
+            by_drive = self._drive in message.senders
+            if message.name in named or not (by_drive or self._drive in message.receivers):
+                continue
+            base = message.frame_id - (node << shift)
+            found[f"dbc_{re.sub(r'[^a-z0-9_]', '_', message.name.lower())}"] = {
+                "id": base if base >= 0 else message.frame_id,
+                "addressed": base >= 0,
+                "extended": message.is_extended_frame,
+                "sender": "drive" if by_drive else "motord",
+                "source": f"{self._file.name}, {message.name}",
+            }
+        return found
 
     def _is_simple(self, message: Message) -> bool:
         import cantools

@@ -15,6 +15,7 @@ from motord.config.drives.can_tables import (
     CanSignal,
     DbcFile,
     EdsFile,
+    ReservedIds,
 )
 from motord.config.drives.parts import (
     CHANNEL,
@@ -133,12 +134,22 @@ class MotorChannel(Section):
     """Register of the torque that the motor shall have; motord closes the speed loop."""
     position_setpoint: Text | None = None
     """Register of the position that the motor shall go to, in the unit of `position`."""
+    move_velocity: Text | None = None
+    """Register of the speed at which the drive moves to a position. Its value stands in
+    `setpoint_with` or in a step of `configure`; 0 there: the drive has no bound of its own."""
+    position_least: Text | None = None
+    """Register of the least position that the drive itself allows, in the unit of `position`."""
+    position_greatest: Text | None = None
+    """Register of the greatest position that the drive itself allows."""
     position: Text | None = None
     """Register of the position."""
     velocity: Text | None = None
     """Register of the measured velocity."""
     current: Text | None = None
     """Register of the motor current."""
+    current_sign: Literal["torque", "power"] = "torque"
+    """Meaning of the sign of the current: positive while the motor pushes forward, or while the
+    drive draws power in either direction."""
     temperature: Text | None = None
     """Register of the temperature."""
     fault: Text | None = None
@@ -210,6 +221,21 @@ class Sequences(Section):
     """Steps that stop the motor as fast as the drive can."""
     clear_fault: list[AnyStep] = Field(default_factory=list)
     """Steps that leave a fault, when a person requests it."""
+
+
+class IdentityRead(Section):
+    """[[identity]]: what the drive reports of itself. It is read at each set-up, before anything is
+    written: (register & mask) is one of the values."""
+
+    register_name: Text = Field(alias="register")
+    """The register to read."""
+    mask: int = Mask()
+    values: list[Annotated[int, WHOLE]]
+    """Values of a drive that this profile is for."""
+    others: dict[Annotated[str, StringConstraints(pattern=r"^[0-9]{1,10}$")], Text] = Field(
+        default_factory=dict
+    )
+    """Names of other drives by the value that they report, for the message."""
 
 
 class EnabledWhen(Section):
@@ -326,6 +352,13 @@ class DriveFile(Section):
     )
     watchdog_note: Text | None = None
     """Why there is no [watchdog], and what to do instead."""
+    unknown: list[
+        Literal[
+            "serial", "sign", "order", "scale", "range", "start", "enable", "velocity",
+            "watchdog", "source",
+        ]
+    ] = Field(default_factory=list)  # fmt: skip
+    """Facts about the drive that are not known."""
     serial: SerialWire | None = None
     can: CanBus | None = None
     dbc: DbcFile | None = None
@@ -335,6 +368,8 @@ class DriveFile(Section):
     """The drive's registers by name."""
     frames: dict[PartName, CanFrame] = Field(default_factory=dict, alias="frame")
     """The drive's CAN frames by name."""
+    reserved: dict[PartName, ReservedIds] = Field(default_factory=dict)
+    """Identifiers that the drive sends or obeys beside its frames, by name."""
     signals: dict[PartName, CanSignal] = Field(default_factory=dict, alias="signal")
     """Values in CAN frames by name."""
     objects: dict[PartName, CanObject] = Field(default_factory=dict, alias="object")
@@ -342,6 +377,8 @@ class DriveFile(Section):
     channels: dict[ChannelNumber, MotorChannel] = Field(alias="channel")
     """The drive's motors, numbered 1, 2, ..."""
     steps: Sequences
+    identity: list[IdentityRead] = Field(default_factory=list)
+    """What is compared at each set-up."""
     enabled: EnabledWhen | None = None
     power_off: PowerOffWhen | None = None
     homed: HomedWhen | None = None

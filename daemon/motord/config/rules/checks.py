@@ -17,6 +17,7 @@ from motord_hal.base.errors import ProfileError
 from motord_hal.base.nearest import nearest
 from motord_hal.drives.profile import DriveProfile
 from motord_hal.modbus.codec import UNIT_MAX
+from motord_hal.roboclaw.codec import UNITS as ROBOCLAW_UNITS
 from motord_hal.servo.packets import KINDS as SERVO_KINDS
 from motord_hal.servo.packets import UNIT_MAX as SERVO_UNIT_MAX
 
@@ -77,6 +78,8 @@ def _profile(robot: Robot, drive: str) -> DriveProfile:
 
 def _address(name: str, joint: Joint, profile: DriveProfile) -> Iterator[Finding]:
     low, high = (0, SERVO_UNIT_MAX) if profile.protocol in SERVO_KINDS else (1, UNIT_MAX)
+    if profile.protocol == "roboclaw":
+        low, high = ROBOCLAW_UNITS[0], ROBOCLAW_UNITS[-1]
     if profile.can is not None:
         low, high = profile.can.node_min, profile.can.node_max
     if not low <= joint.unit <= high:

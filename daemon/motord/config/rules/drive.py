@@ -4,18 +4,21 @@
 from __future__ import annotations
 
 import itertools
-import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
+from motord.config.rules.alike import alike
 from motord.config.rules.battery import battery_readings
 from motord.config.rules.derating import derating
 from motord.config.rules.joints import JOINT_DRIVE_RULES
+from motord.config.rules.limits import ROUNDING, ceiling, reach
 from motord.config.rules.speed_loop import speed_loops
 from motord.config.rules.steering import STEERING_DRIVE_RULES
-from motord.config.rules.wiring.wire import budget, cycle_limit_hz, helps
-from motord.config.sections.bases import JointsBase, OmniBase, SteeredBase, side_of, wheel_row
+from motord.config.rules.wiring.positions import positions
+from motord.config.rules.wiring.times import TIME_RULES
+from motord.config.rules.wiring.wire import budget, helps
+from motord.config.sections.bases import JointsBase, OmniBase, SteeredBase, side_of
 from motord.config.sections.joint.wheels import (
     Profiles,
     counter_bits,
@@ -23,19 +26,18 @@ from motord.config.sections.joint.wheels import (
     drive_can_reverse,
     drive_velocity_max_rad_s,
     rad_per_count,
+    reports_speed,
     takes_duty,
     takes_position,
     takes_torque,
-    velocity_range_rad_s,
 )
-from motord.config.sections.line import AnyLine, AsciiLine, CanLine, PwmLine, SerialLine
+from motord.config.sections.line import CanLine, PwmLine, SerialLine
 from motord.config.sections.model import Joint, Robot
 from motord.config.toml_lines import Path
 from motord.config.wiring import line_specs
 
 TRAVEL_PER_COUNT_USUAL_MM = (1e-5, 8.0)
 """Usual travel: from an encoder of 22 bits on a geared motor to the Hall sensors of a hub motor."""
-_ROUNDING = 1e-6  # a limit computed by hand from rpm may be off in the last digit
 _SPEAKS = {
     "ddsm": ("ddsm",),
     "can": ("can",),
@@ -60,6 +62,8 @@ def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             ("joint", joint, key) for joint in (other, one) for key in ("unit", "line", "channel")
         )
         if first.drive != second.drive:
+            if isinstance(robot.line[first.line], CanLine):
+                continue  # rules/wiring/can.py compares their identifiers
             path: Path = ("joint", other, "drive")
             yield Finding((path, *paths), f'{where} is a "{first.drive}" for joint {one}')
         elif first.channel == second.channel:
@@ -88,7 +92,9 @@ def _mounting(robot: Robot, _: Profiles) -> Iterator[Finding]:
         paths = tuple(
             ("joint", joint, key) for joint in (other, one) for key in ("inverted", placed)
         )
-        same_drive = (first.line, first.unit) == (second.line, second.unit)
+        same_drive = (first.line, first.unit, first.drive) == (
+            second.line, second.unit, second.drive,
+        )  # fmt: skip
         if sides[0] == sides[1]:
             if first.drive == second.drive and first.inverted != second.inverted:
                 text = f"joint {one} on the same side is {_turned(first)}: do both turn alike?"
@@ -113,7 +119,7 @@ def _velocity(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
         on = (path, *(("joint", name, key) for key in keys))
         most = drive_velocity_max_rad_s(joint, profile)
         wanted_rad_s = joint.velocity_max_rad_s
-        if wanted_rad_s is not None and wanted_rad_s > most * (1 + _ROUNDING):
+        if wanted_rad_s is not None and wanted_rad_s > most * (1 + ROUNDING):
             can = f'drive "{joint.drive}" can (at most {most:.4g} rad/s)'
             text = f"{wanted_rad_s:g} rad/s is more than {can}"
             yield Finding(on, text)
@@ -162,19 +168,10 @@ def _counter(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             yield Finding((path, drive), f'drive "{joint.drive}" has no position counter')
         elif not counts_per_turn(joint, profile) and joint.drive not in reported:
             reported.add(joint.drive)
-            has_velocity = profile.channels[joint.channel].velocity is not None
-            measures = has_velocity and _may_report_speed(robot.line[joint.line], name)
+            measures = reports_speed(robot, name, profile)
             source = "the measured speed" if measures else "the wheel's set-point"
             text = f"without a position counter: odometry comes from {source}, and is less exact"
             yield Finding((drive, path), text, warning=True)
-
-
-def _may_report_speed(line: AnyLine, joint: str) -> bool:
-    """Return whether a joint's speed may be reported: a board that sends text reports what its
-    template names, whatever its drives can."""
-    if not isinstance(line, AsciiLine):
-        return True
-    return any(f"{{{joint}_{unit}" in (line.feedback or "") for unit in ("rad_s", "m_s"))
 
 
 def _resolution(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -219,52 +216,8 @@ def _edges(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 
 
 def _reach(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    """Warn of limits that the wheels cannot serve. They are no error: the core scales the twist
-    down."""
-    if isinstance(robot.base, JointsBase):
-        return
-    joints = robot.joint.items()
-    ranges = {name: velocity_range_rad_s(joint, profiles[joint.drive]) for name, joint in joints}
-    radius = {name: robot.wheel_radius_m(name) for name in robot.joint}
-    rows = {name: wheel_row(robot.base, joint) for name, joint in joints}
-
-    def reach(parts: dict[str, float]) -> float:
-        """Return how fast the base can move along an axis. `parts`: each rim's speed, as a part of
-        the base's."""
-        return min(
-            (
-                _most(ranges[name], part) * radius[name] / abs(part)
-                for name, part in parts.items()
-                if part
-            ),
-            default=math.inf,  # no wheel turns it: another rule refuses that
-        )
-
-    forward_m_s = reach({name: row.x for name, row in rows.items()})
-    on_spot_rad_s = min(
-        reach({name: sign * row.lever_m for name, row in rows.items()}) for sign in (-1.0, 1.0)
-    )
-    spot_m_s = on_spot_rad_s
-    wheels = tuple(("joint", name, "velocity_max_rad_s") for name in ranges)
-    if robot.limits.linear_m_s > forward_m_s * (1 + _ROUNDING):
-        text = (
-            f"{robot.limits.linear_m_s:g} m/s is never reached: the wheels do {forward_m_s:.4g} m/s"
-        )
-        yield Finding((("limits", "linear_m_s"), *wheels), text, warning=True)
-    path: Path = ("limits", "angular_rad_s")
-    if spot_m_s == 0:
-        text = "wheels that cannot turn backward cannot turn this base on the spot"
-        yield Finding((path, *wheels), text, warning=True)
-    elif robot.limits.angular_rad_s > on_spot_rad_s * (1 + _ROUNDING):
-        never = f"{robot.limits.angular_rad_s:g} rad/s is never reached on the spot"
-        text = f"{never}: the wheels do {on_spot_rad_s:.4g} rad/s"
-        yield Finding((path, *wheels), text, warning=True)
-
-
-def _most(range_rad_s: tuple[float, float], part: float) -> float:
-    """Return a wheel's highest speed in the direction in which it turns: forward for a positive
-    part."""
-    return range_rad_s[1] if part > 0.0 else -range_rad_s[0]
+    if not isinstance(robot.base, JointsBase):
+        yield from reach(robot.limits, ceiling(robot, profiles), tuple(robot.joint))
 
 
 def _serial(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -294,31 +247,13 @@ def _as_keys(factory: tuple[int, str, int], on_can: bool) -> str:
     return f'baudrate = {baudrate}, parity = "{parity}", stop_bits = {stop_bits}'
 
 
-def _times(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
-    safety = robot.safety
-    for spec in line_specs(robot, profiles):
-        if not spec.joints or spec.kind == "can":
-            continue
-        path = ("line", spec.name, "cycle_hz")
-        most_hz = cycle_limit_hz(spec)
-        on = (path, ("line", spec.name, "baudrate"), ("line", spec.name, "gap_s"))
-        cycle_s = 1 / min(spec.cycle_hz, most_hz)
-        watched = any(joint.profile.watchdog for joint in spec.joints)
-        for key in ("feedback_timeout_s", "drive_watchdog_s")[: 1 + watched]:
-            value = getattr(safety, key)
-            if value < 2 * cycle_s:
-                cycles = f'two cycles of line "{spec.name}" (at least {2 * cycle_s:.3g} s)'
-                paths = (("safety", key), *on)
-                yield Finding(paths, f"{value:g} s is shorter than {cycles}")
-
-
 def _budget(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
     """Report rates that the wire cannot carry: an error if the file sets them, else a warning."""
     for spec in line_specs(robot, profiles):
         if not spec.joints or spec.kind == "can":
             continue
         need = budget(spec)
-        if need.share <= 1 + _ROUNDING:
+        if need.share <= 1 + ROUNDING:
             continue
         drives = "1 drive" if need.drives == 1 else f"{need.drives} drives"
         text = (
@@ -359,6 +294,8 @@ def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
                 if fixed_s
                 else "without a communication watchdog"
             )
+            if "watchdog" in profiles[drive].unknown:
+                has = "whose communication watchdog is unknown"
             text = f'drive "{drive}" {has}: {note}'
             yield Finding((at,), text, warning=True)
             continue
@@ -379,6 +316,7 @@ _RULES: tuple[Rule, ...] = (
     _one_joint_a_channel,
     _protocol,
     _mounting,
+    alike,
     _velocity,
     speed_loops,
     derating,
@@ -388,8 +326,9 @@ _RULES: tuple[Rule, ...] = (
     _resolution,
     _edges,
     _reach,
+    positions,
     _serial,
-    _times,
+    *TIME_RULES,
     _budget,
     _watchdogs,
     battery_readings,

@@ -6,13 +6,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
+from motord.config.rules.limits import joint_stops
 from motord.config.rules.steering import engine_for_positions
 from motord.config.sections.bases import JointsBase
 from motord.config.sections.joint.limits import JointLimits
 from motord.config.sections.joint.wheels import Profiles, reference_of, takes_position
-from motord.config.sections.limits import REST_MAX_S
 from motord.config.sections.model import Joint, Robot
 from motord.config.toml_lines import Path
+from motord_hal.fieldbus.parameter import readable
 
 _RANGE = ("position_min_rad", "position_max_rad")
 _OF_POSITION = (*_RANGE, "zero_count")
@@ -54,11 +55,7 @@ def _stops_in_time(robot: Robot) -> Iterator[Finding]:
     if not isinstance(robot.base, JointsBase):
         return
     for name, joint in robot.joint.items():
-        rest_s = JointLimits.of(joint).rest_s()
-        if rest_s > REST_MAX_S:
-            text = f"from full speed it takes {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s)"
-            keys = ("deceleration_max_rad_s2", "acceleration_max_rad_s2", "velocity_max_rad_s")
-            yield Finding(tuple(("joint", name, key) for key in keys), text)
+        yield from joint_stops(name, JointLimits.of(joint))
 
 
 def _drives(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -84,6 +81,15 @@ def _drives(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             yield Finding((("joint", name, "drive"),), text)
 
 
+def _identity(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    for name, joint in robot.joint.items():
+        for register in joint.identity:
+            try:
+                readable(profiles[joint.drive], register)
+            except LookupError as error:
+                yield Finding((("joint", name, "identity", register),), str(error))
+
+
 def _range(name: str, joint: Joint) -> Iterator[Finding]:
     for key in _RANGE:
         if getattr(joint, key) is None:
@@ -95,4 +101,7 @@ def _range(name: str, joint: Joint) -> Iterator[Finding]:
 
 
 JOINT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (_keys, _stops_in_time)
-JOINT_DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (_drives,)
+JOINT_DRIVE_RULES: tuple[Callable[[Robot, Profiles], Iterator[Finding]], ...] = (
+    _drives,
+    _identity,
+)

@@ -9,15 +9,13 @@ from motord.config.finding import Finding
 from motord.config.rules.base import BASE_RULES
 from motord.config.rules.battery import battery_alone
 from motord.config.rules.imu import imu_axes, imu_line, imu_rates
+from motord.config.rules.limits import stops
 from motord.config.sections.bases import JointsBase
-from motord.config.sections.limits import REST_MAX_S
 from motord.config.sections.model import Robot
 from motord_hal.base.nearest import nearest
 
 JOINTS_MIN, JOINTS_MAX = 2, 8  # JOINTS_MAX, LINES_MAX: csrc/api/api.h
 LINES_MAX = 4
-STOP_USUAL_M = 3.0
-"""Braking distance of a fast delivery robot; small robots have less."""
 REST_RATIO_MAX = 1.5
 """Largest usual ratio between the stopping times of the two axes."""
 
@@ -48,10 +46,8 @@ def _line_count(robot: Robot) -> Iterator[Finding]:
             yield Finding((("line", name), *uses), "no joint is on this line", warning=True)
 
 
-def _stops_in_time(robot: Robot) -> Iterator[Finding]:
-    if (rest_s := robot.limits.rest_s(strafes=robot.base.strafes)) > REST_MAX_S:
-        text = f"from full speed it takes {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s)"
-        yield Finding((("limits",),), f"{text}: more deceleration and jerk, or less speed")
+def _stops(robot: Robot) -> Iterator[Finding]:
+    yield from stops(robot.limits, strafes=robot.base.strafes)
 
 
 def _axes_stop_alike(robot: Robot) -> Iterator[Finding]:
@@ -72,18 +68,6 @@ def _axes_stop_alike(robot: Robot) -> Iterator[Finding]:
     yield Finding((("limits", keys[0]), ("limits",)), text, warning=True)
 
 
-def _long_stop(robot: Robot) -> Iterator[Finding]:
-    limits = robot.limits
-    stop_m = limits.linear_m_s * limits.linear_rest_s(limits.linear_m_s) / 2.0
-    if stop_m > STOP_USUAL_M:
-        text = (
-            f"from {limits.linear_m_s:g} m/s the robot takes {stop_m:.1f} m to rest: is there so "
-            "much room? raise linear_deceleration_m_s2 or lower linear_m_s"
-        )
-        keys = ("linear_m_s", "linear_deceleration_m_s2")
-        yield Finding(tuple(("limits", key) for key in keys), text, warning=True)
-
-
 def _safety_pins(robot: Robot) -> Iterator[Finding]:
     estop = robot.safety.estop
     if estop is not None and estop.contact == "normally-open":
@@ -96,9 +80,8 @@ ROBOT_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     *BASE_RULES,
     _known_lines,
     _line_count,
-    _stops_in_time,
+    _stops,
     _axes_stop_alike,
-    _long_stop,
     battery_alone,
     imu_axes,
     imu_line,

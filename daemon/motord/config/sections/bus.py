@@ -380,7 +380,20 @@ class ZenohPublish(RosTopics, ZenohNode):
     kind: Literal["ros2-zenoh"]
 
 
-class Ros2Input(StampedInput, Ros2Node):
+class ActionInput(BusInput):
+    """An input with the actions that move the robot."""
+
+    goal_lease_s: float | None = number(
+        "a goal ends when its client has not published its id on ~/goal_alive for this long; not "
+        "given: it goes on without its client",
+        0.1,
+        60,
+        "s",
+        None,
+    )
+
+
+class Ros2Input(ActionInput, StampedInput, Ros2Node):
     """Commands from ROS 2 nodes: cmd_vel (a TwistStamped; stamped = false: a Twist),
     joint_commands, the actions drive_distance, rotate and calibrate, and the services arm, disarm,
     stop, estop, reset, reset_odometry, parameters and life cycle."""
@@ -391,7 +404,7 @@ class Ros2Input(StampedInput, Ros2Node):
     robot. Set it to confirm that this is meant."""
 
 
-class ZenohInput(StampedInput, ZenohNode):
+class ZenohInput(ActionInput, StampedInput, ZenohNode):
     """Commands as with kind ros2, from ROS 2 nodes on Zenoh, whose service calls reach motord,
     too."""
 
@@ -401,7 +414,7 @@ class ZenohInput(StampedInput, ZenohNode):
     machine: it listens to the network by default. Set it to confirm that this is meant."""
 
 
-class RclpyInput(BusInput):
+class RclpyInput(ActionInput):
     """Commands by the bridge node of motord.ros2_rclpy, which is started where ROS 2 is installed;
     motord-bus has no part in it."""
 

@@ -8,12 +8,12 @@ on the slow and careful side."""
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from motord.config import transfer
 from motord.config.problems import Problem
 from motord.config.sections.bases import AnyBase, Place
 from motord.config.sections.battery import DrivesBattery, InaBattery
@@ -48,6 +48,7 @@ from motord.config.sections.joint.feedback import FeedbackChecks
 from motord.config.sections.joint.speed_loop import SpeedLoop
 from motord.config.sections.limits import Limits
 from motord.config.sections.line import Cpus, LineSection
+from motord.config.sections.odometry import Odometry
 from motord.config.sections.section import Field, Name, PrivateAttr, Section, number
 from motord_hal.fieldbus.ports import REST_VELOCITY_RAD_S
 
@@ -95,6 +96,13 @@ class Safety(Section):
         "s",
         0.5,
     )
+    timeout_travel_max_m: float = number(
+        "the check refuses a time of this table in which the robot goes this far at its limit",
+        0.1,
+        1000,
+        "m",
+        5.0,
+    )
     rest_velocity_rad_s: float = number(
         "a wheel slower than this is at rest", 0.001, 10, "rad/s", REST_VELOCITY_RAD_S
     )
@@ -111,33 +119,6 @@ class Safety(Section):
     """What a critical battery does: "none" reports it, "stop" stops the robot by on_fault and
     refuses to arm it. "none" is the default because a robot that still drives can drive to its
     charger."""
-
-
-class Odometry(Section):
-    """Error model of the odometry: Siegwart & Nourbakhsh, Autonomous Mobile Robots, 5.2.4.
-
-    The defaults are what an uncalibrated base does, about 1 % of the distance and 3 % of the turn
-    (Borenstein & Feng, Measurement and Correction of Systematic Odometry Errors in Mobile
-    Robots, IEEE Transactions on Robotics and Automation 12(6), 1996); the floors are a millimetre,
-    a milliradian, 1 cm/s and 1 crad/s.
-    """
-
-    distance_variance_m2_per_m: float = number(
-        "variance of one side's travel for each metre of it", 1e-9, 1, "m²/m", 1e-4
-    )
-    turn_variance_rad2_per_rad: float = number(
-        "variance of the heading for each radian turned", 1e-9, 1, "rad²/rad", 1e-3
-    )
-    pose_variance_floor_m2: float = number("least variance of x and y", 1e-12, 1, "m²", 1e-6)
-    heading_variance_floor_rad2: float = number(
-        "least variance of the heading", 1e-12, 1, "rad²", 1e-6
-    )
-    twist_variance_floor_m2_s2: float = number(
-        "least variance of the speed", 1e-12, 1, "m²/s²", 1e-4
-    )
-    twist_variance_floor_rad2_s2: float = number(
-        "least variance of the turn rate", 1e-12, 1, "rad²/s²", 1e-4
-    )
 
 
 class Joint(Section):
@@ -274,6 +255,14 @@ class Joint(Section):
     duty where its wheel is measured. Without it, a duty follows the open-loop map."""
     derating: Derating | None = None
     """How the base becomes slower with the temperature, current and supply voltage of its drive."""
+    differs_in: tuple[
+        Literal["gear_ratio", "counts_per_turn", "wheel_radius_m", "full_duty_rad_s"], ...
+    ] = Field(default=(), strict=False)
+    """Keys in which this joint is meant to differ from the other wheels of its base. `motord check`
+    refuses any other difference between wheels with the same drive."""
+    identity: dict[str, int] = Field(default_factory=dict)
+    """What a register of its drive has to read at each set-up, as the raw number in it: a serial
+    number, or another model than the profile's. Otherwise the drive is refused."""
     pins: dict[str, str] = Field(default_factory=dict)
     """On a line of kind "pwm": place of each pin of the bridge: pwmN, or a GPIO line's name or
     number; with ! before it, it is active low. Every bridge may have "fault", an input, and "pump",
@@ -352,7 +341,7 @@ AnyPublish = (
 )
 
 
-_SENT_OF_COMMANDERS = ("kind", "priority", "lease_s")
+_SENT_OF_COMMANDERS = ("kind", "priority", "lease_s", "goal_lease_s")
 
 
 class Robot(Section):
@@ -381,8 +370,8 @@ class Robot(Section):
     _text: str = PrivateAttr("")
     _overrides: tuple[str, ...] = PrivateAttr(())
     _warnings: tuple[Problem, ...] = PrivateAttr(())
-    _profiles: bytes = PrivateAttr(b"")
-    """Pickled: motord-bus has the robot, too, and must not load the modules of the drives."""
+    _profiles: str = PrivateAttr("")
+    """As text: motord-bus has the robot, too, and must not load the modules of the drives."""
 
     @property
     def path(self) -> Path:
@@ -411,13 +400,17 @@ class Robot(Section):
         return next(own, SocketInput(kind="socket"))
 
     def commanders(self) -> list[dict[str, Any]]:
-        """Return name, kind, priority and lease_s of every source that may command the robot, the
-        local socket first."""
+        """Return name, kind, priority, lease_s, and goal_lease_s if it is given, of every source
+        that may command the robot, the local socket first."""
         found: dict[str, Input] = {"local socket": self.local_input}
         found |= {name: section for name, section in self.input.items() if section.kind != "socket"}
         return [
             {"name": name}
-            | {key: getattr(section, key) for key in _SENT_OF_COMMANDERS if hasattr(section, key)}
+            | {
+                key: value
+                for key in _SENT_OF_COMMANDERS
+                if (value := getattr(section, key, None)) is not None
+            }
             for name, section in found.items()
             if not isinstance(section, SocketInput) or section.enabled
         ]
@@ -452,16 +445,33 @@ class Robot(Section):
         drives; return self."""
         self._path, self._text = path, text
         self._warnings, self._overrides = tuple(warnings), tuple(overrides)
-        self._profiles = pickle.dumps(dict(profiles))
+        self._profiles = transfer.dumps(dict(profiles))
         return self
 
     @property
     def profiles(self) -> dict[str, DriveProfile]:
         """The profiles of the robot's drives, by the name that the robot file gives them."""
-        found: dict[str, DriveProfile] = pickle.loads(self._profiles)
-        return found
+        return profiles_of(self._profiles)
+
+    @property
+    def profiles_text(self) -> str:
+        """The same as text, which `profiles_of` reads."""
+        return self._profiles
 
     def wheel_radius_m(self, joint: str) -> float:
         """Return a joint's own wheel radius, else the base's."""
         own = self.joint[joint].wheel_radius_m
         return self.base.wheel_radius_m if own is None else own
+
+
+def profiles_of(text: str) -> dict[str, DriveProfile]:
+    """Return drive profiles from their text, `Robot.profiles_text`. Raises ValueError for other
+    text; the values have the types of the text, which is not checked."""
+    from motord_hal.drives import can_profile, profile
+
+    found = transfer.loads(text, transfer.classes_in(profile, can_profile))
+    if not isinstance(found, dict) or not all(
+        isinstance(one, profile.DriveProfile) for one in found.values()
+    ):
+        raise ValueError("not the form of drive profiles")
+    return found

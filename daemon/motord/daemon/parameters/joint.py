@@ -14,9 +14,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from motord.config import Robot
+from motord.config.rules.limits import joint_beyond_file, joint_stops
 from motord.config.sections.joint.limits import NUMBERS, JointLimits, limit_keys
-from motord.config.sections.limits import REST_MAX_S
 from motord.config.sections.section import Number
+from motord.daemon.parameters.robot import ask_for_force, refuse_wrong
 from motord.local_socket.server import INVALID_PARAMS, RpcError, json_number
 from motord_hal.base.nearest import nearest
 
@@ -34,6 +35,7 @@ def listed(robot: Robot, limits: Limits) -> dict[str, dict[str, Any]]:
             "unit": number.unit,
             "minimum": number.low,
             "maximum": number.high,
+            "from_file": json_number(getattr(JointLimits.of(robot.joint[joint]), key)),
             "description": number.description,
         }
     return found
@@ -52,10 +54,15 @@ def values(
 
 
 def changed(
-    robot: Robot, limits: Limits, wanted: Mapping[str, Any], setpoints_rad_s: Sequence[float]
+    robot: Robot,
+    limits: Limits,
+    wanted: Mapping[str, Any],
+    setpoints_rad_s: Sequence[float],
+    *,
+    force: bool = False,
 ) -> dict[str, JointLimits]:
-    """Return the changed limits by joint, checked for joints that move at these set-points. Raises
-    RpcError if any value is refused."""
+    """Return the changed limits by joint, checked for joints that move at these set-points.
+    `force`: also beyond what the robot file allows. Raises RpcError if any value is refused."""
     known = _known(robot)
     changes: dict[str, dict[str, float]] = defaultdict(dict)
     for name, value in wanted.items():
@@ -68,12 +75,15 @@ def changed(
             changes[joint]["deceleration_max_rad_s2"] = float(asked)
     made = {joint: dataclasses.replace(limits[joint], **new) for joint, new in changes.items()}
     for joint, velocity_rad_s in zip(robot.joint, setpoints_rad_s, strict=True):
-        if joint in made and (rest_s := made[joint].rest_s(velocity_rad_s)) > REST_MAX_S:
-            raise RpcError(
-                f"{joint}: it would take {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s): more "
-                "deceleration and jerk, or less speed",
-                INVALID_PARAMS,
-            )
+        if joint in made:
+            refuse_wrong(joint_stops(joint, made[joint], velocity_rad_s))
+    if not force:
+        file = {joint: JointLimits.of(robot.joint[joint]) for joint in made}
+        ask_for_force(
+            reason
+            for joint, new in made.items()
+            for reason in joint_beyond_file(joint, new, limits[joint], file[joint])
+        )
     return made
 
 

@@ -7,11 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
-from motord.config import Limits
+from motord.api.local_rpc import NEEDS_FORCE
+from motord.config import Limits, Robot
+from motord.config.finding import Finding
+from motord.config.rules.limits import beyond_file, ceiling, settable_max, stops
 from motord.config.sections.bases import AnyBase, JointsBase
-from motord.config.sections.limits import LATERAL_KEYS, REST_MAX_S
+from motord.config.sections.limits import LATERAL_KEYS
 from motord.config.sections.section import Number, numbers_of
 from motord.control.assembly import base_limits
 from motord.local_socket.server import INVALID_PARAMS, RpcError, json_number
@@ -30,17 +34,20 @@ def _numbers(base: AnyBase) -> Mapping[str, Number]:
     return {key: one for key, one in _NUMBERS.items() if base.strafes or key not in LATERAL_KEYS}
 
 
-def listed(limits: Limits, base: AnyBase) -> dict[str, dict[str, Any]]:
-    """Return value, unit, range and description of every parameter."""
+def listed(robot: Robot, limits: Limits) -> dict[str, dict[str, Any]]:
+    """Return value, unit, range and description of every parameter. The range ends where the wheels
+    do; `from_file` is the robot file's value: more needs `force`."""
+    numbers = _settable(robot)
     return {
         _PREFIX + key: {
             "value": json_number(getattr(limits, key)),
             "unit": number.unit,
             "minimum": number.low,
             "maximum": number.high,
+            "from_file": json_number(getattr(robot.limits, key)),
             "description": number.description,
         }
-        for key, number in _numbers(base).items()
+        for key, number in numbers.items()
     }
 
 
@@ -51,40 +58,73 @@ def values(limits: Limits, base: AnyBase, names: Iterable[str] = ()) -> dict[str
 
 
 def changed(
+    robot: Robot,
     limits: Limits,
-    base: AnyBase,
     wanted: Mapping[str, Any],
-    linear_m_s: float = 0.0,
-    angular_rad_s: float = 0.0,
-    lateral_m_s: float = 0.0,
+    moving: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    force: bool = False,
 ) -> Limits:
     """Return the limits with all wanted values, checked as one group for a robot that moves at
-    these speeds. A limit that is not wanted keeps its value, also if the robot file does not give
-    it. Raises RpcError if any value is refused."""
-    keys = {name: _key(name, base) for name in wanted}
+    these speeds (m/s, rad/s, m/s to the left). A limit that is not wanted keeps its value, also if
+    the robot file does not give it. `force`: also beyond what the robot file allows. Raises
+    RpcError if any value is refused."""
+    keys = {name: _key(name, robot.base) for name in wanted}
     if not keys:
         return limits
-    asked = {keys[name]: _in_range(keys[name], value) for name, value in wanted.items()}
+    numbers = _settable(robot)
+    asked = {key: _in_range(key, wanted[name], numbers[key]) for name, key in keys.items()}
     made = Limits(**(vars(limits) | asked))
     if (problem := limits_problem(base_limits(made))) is not None:
         raise RpcError(f"the core refuses {problem}: out of range", INVALID_PARAMS)
-    rest_s = made.rest_s(linear_m_s, angular_rad_s, lateral_m_s, strafes=base.strafes)
-    if rest_s > REST_MAX_S:
-        raise RpcError(
-            f"it would take {rest_s:.0f} s to rest (at most {REST_MAX_S:g} s): more deceleration "
-            "and jerk, or less speed",
-            INVALID_PARAMS,
-        )
+    strafes = robot.base.strafes
+    refuse_wrong(stops(made, strafes=strafes, moving=moving))
+    if not force:
+        changing = frozenset(asked)
+        ask_for_force(beyond_file(made, limits, robot.limits, changing, strafes=strafes))
     return made
 
 
-def _in_range(key: str, value: Any) -> float:
+def refuse_wrong(found: Iterable[Finding]) -> None:
+    """Raise RpcError for the first finding that is an error in a robot file, too."""
+    for one in found:
+        if not one.warning:
+            raise RpcError(f"{'.'.join(map(str, one.paths[0]))}: {one.text}", INVALID_PARAMS)
+
+
+def ask_for_force(beyond: Iterable[str]) -> None:
+    """Raise RpcError, with all reasons, if the limits go beyond the robot file."""
+    if reasons := list(beyond):
+        raise RpcError(
+            f"{'; '.join(reasons)}: is there room for it? motord params set --force sets it all "
+            "the same (a page asks), or write it into the robot file and check that",
+            NEEDS_FORCE,
+        )
+
+
+def _settable(robot: Robot) -> dict[str, Number]:
+    """Return the limits of this base, with ranges that end at what its wheels can do."""
+    numbers = _numbers(robot.base)
+    if not numbers:
+        return {}
+    most = ceiling(robot, robot.profiles)
+    highs = {key: settable_max(robot.limits, key, most) for key in numbers}
+    return {
+        key: replace(number, high=highs[key] if math.isfinite(highs[key]) else None)
+        for key, number in numbers.items()
+    }
+
+
+def _in_range(key: str, value: Any, number: Number) -> float:
     """Return the value (None: infinity). Raises RpcError if it is out of range, with the range and
     its unit as in `params list`."""
-    number, asked = _NUMBERS[key], math.inf if value is None else value
-    if not number.takes(asked):
-        raise RpcError(f"{_PREFIX}{key}: {asked} is out of range ({number.span})", INVALID_PARAMS)
-    return float(asked)
+    asked = math.inf if value is None else value
+    if number.takes(asked):
+        return float(asked)
+    text = f"{_PREFIX}{key}: {asked} is out of range ({number.span})"
+    if _NUMBERS[key].takes(asked):
+        text += ": the wheels can do no more"
+    raise RpcError(text, INVALID_PARAMS)
 
 
 def _key(name: str, base: AnyBase) -> str:

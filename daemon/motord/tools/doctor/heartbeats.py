@@ -224,9 +224,7 @@ def _values(found: Status) -> Iterator[Finding]:
         known = [value for value in measures if value is not None]
         odd = _implausible(joint)
         if not known:
-            yield _finding(
-                "daemon", check, "warn", "its drive has sent none", "see its drive above"
-            )
+            yield _finding("daemon", check, "warn", "its drive sends none", "see its drive above")
         elif odd:
             mend = "is it the right profile? motord drives; motord scan PORT"
             yield _finding("daemon", check, "warn", odd, mend)

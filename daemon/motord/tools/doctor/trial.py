@@ -6,12 +6,12 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from motord.base.python_command import module_command
 from motord.client import Client, ClientError
 
 START_WITHIN_S = 30.0
@@ -26,7 +26,7 @@ def daemon(robot_file: Path, overrides: Sequence[str]) -> Iterator[Client]:
     passed. Raise ClientError if the daemon does not start."""
     with tempfile.TemporaryDirectory(prefix="motord-doctor-") as folder:
         path, log = Path(folder) / "trial.sock", Path(folder) / "log"
-        words = [sys.executable, "-m", "motord", "run", str(robot_file), "--no-bus"]
+        words = module_command("motord", "run", str(robot_file), "--no-bus")
         words += ["--socket", str(path)]
         for override in overrides:
             words += ["--set", override]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from motord.tools.latency.report import FIGURES, number
+from motord_hal.base import bounded
 
 SPREADS = (
     ("lateness_us",),
@@ -20,6 +21,7 @@ SPREADS = (
     ("handover_us", "command_to_byte"),
 )
 CONDITIONS = ("rate_hz", "policy", "priority", "cpu", "load")
+REPORT_BYTES_MAX = 16 * 1024 * 1024
 MACHINE = ("kernel", "preempt_rt", "cpu_model", "cpu_count", "virtual")
 
 
@@ -63,7 +65,7 @@ class Comparison:
 def read_report(path: Path) -> dict[str, Any]:
     """Read a report. Raise ReportUnusable, with the file and its problem, if that fails."""
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
+        report = json.loads(bounded.read(path, REPORT_BYTES_MAX))
     except (OSError, ValueError) as error:
         raise ReportUnusable(f"{path}: {error}") from error
     keys = {"rate_hz", "policy", "load", "class", "ticks", "overruns", "machine"}

@@ -43,7 +43,7 @@ def command(rate_hz: float, seconds: float, priority: int, cpu: tuple[int, ...])
     scheduler = [f"-p{priority}"] if priority > 0 else ["--policy=other"]
     affinity = [f"-a{','.join(map(str, cpu))}"] if cpu else []
     return [
-        "cyclictest", "-q", "-m", *scheduler, *affinity, f"-i{round(1e6 / rate_hz)}",
+        "cyclictest", "-q", "--mlockall", *scheduler, *affinity, f"-i{round(1e6 / rate_hz)}",
         f"-D{math.ceil(seconds)}", f"-h{HISTOGRAM_US}",
     ]  # fmt: skip
 

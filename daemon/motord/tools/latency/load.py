@@ -7,11 +7,12 @@ import contextlib
 import os
 import select
 import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+
+from motord.base.python_command import script_command
 
 LOADS = ("none", "cpu", "io", "gil", "fifo", "fork", "faults")
 CULPRITS = ("fifo", "fork", "faults")
@@ -60,7 +61,7 @@ def burn(cleanup: contextlib.ExitStack, kind: str, count: int, where: str) -> No
     processes = []
     for _ in range(count):
         process = subprocess.Popen(
-            [sys.executable, "-I", str(BURNER), kind, str(os.getpid()), where],
+            script_command(BURNER, kind, str(os.getpid()), where),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             start_new_session=True,

@@ -8,13 +8,13 @@ import contextlib
 import json
 import os
 import socket
-import sys
 import tty
 from asyncio.subprocess import Process
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from motord.base.python_command import script_command
 from motord.tools.latency.process import running
 from motord.tools.latency.report import Spread
 from motord_hal.base.clock import within
@@ -69,7 +69,7 @@ async def other_end(far_fd: int, loop_priority: int) -> AsyncIterator[OtherEnd]:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     priority = max(loop_priority - PRIORITY_BELOW_LOOP, 0)
     numbers = theirs.fileno(), far_fd, COMMAND_HZ, priority
-    command = [sys.executable, "-I", str(PEER), *map(str, numbers)]
+    command = script_command(PEER, *map(str, numbers))
     with ours, theirs:
         ours.setblocking(False)  # noqa: FBT003 no keyword there
         async with running(command, pass_fds=(theirs.fileno(), far_fd)) as process:

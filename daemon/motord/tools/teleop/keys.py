@@ -25,7 +25,12 @@ PING = b"\x1b[5n"
 """Request of a device status report (ECMA-48, DSR 5); the answer PONG comes in order with keys."""
 PONG = "\x1b[0n"
 
-_SEQUENCE = re.compile(rb"\x1b\[[0-?]*[ -/]*[@-~]|\x1bO[@-~]|\x1b[^\[O]|[^\x1b]", re.DOTALL)
+_SEQUENCE = re.compile(
+    rb"\x1b(?:\[[0-?]*+[ -/]*+(?:[@-~]|(?=[^@-~]))|O(?:[@-~]|(?=[^@-~]))|[^\[O\x1b]|(?=\x1b))"
+    rb"|[^\x1b]",
+    re.DOTALL,
+)
+"""An escape sequence (ECMA-48, 5.4), a sequence that another byte breaks off, or a byte."""
 _SEQUENCE_BYTES_MAX = 32
 _ARROWS = {"A": "w", "B": "s", "C": "d", "D": "a"}
 

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from motord.aio import Client, ClientError, Refused
+from motord.api.snapshot import KEEP_AWAY, Rest, not_known, rest_text
 from motord.api.status import Status
 from motord.tools.teleop.keys import MOTIONS, PING, PONG, DeadMan, Decoder, Link
 from motord.tools.teleop.terminal import Terminal
+from motord_hal.base.tasks import TaskGroup
 
 OWNER = "motord-teleop"
 SEND_PERIOD_S = 0.05
@@ -87,7 +89,7 @@ class Teleop:
         self._answer: dict[str, Any] | None = None
         self._armed_here = False
         self._act: asyncio.Task[None] | None = None
-        self._tasks: asyncio.TaskGroup
+        self._tasks: TaskGroup
 
     async def run(self) -> str:
         """Run until a key, a signal, the terminal or the daemon ends the session. Return the
@@ -107,7 +109,7 @@ class Teleop:
     async def _follow(self) -> None:
         self._terminal.write(KEYS.replace("\n", "\r\n").encode() + b"\r\n")
         try:
-            async with asyncio.TaskGroup() as self._tasks:
+            async with TaskGroup() as self._tasks:
                 self._loop.add_reader(self._terminal.fd, self._read)
                 parts = (self._command(), self._watch(), self._ping(), self._follow_gamepad())
                 running = [self._tasks.create_task(part) for part in parts]
@@ -230,18 +232,25 @@ class Teleop:
             await asyncio.sleep(SEND_PERIOD_S)
 
     async def _come_to_rest(self) -> None:
-        """Bring the robot to rest by its own ramp; disarm the drives if this session armed them."""
-        with contextlib.suppress(ClientError):  # the daemon is gone: its drives stop by themselves
+        """Bring the robot to rest by its own ramp; disarm the drives if this session armed them.
+        The reason for the end says so if the robot was not seen at rest."""
+        found = Status()  # without the daemon it is unknown whether its drives stop
+        with contextlib.suppress(ClientError):
             await self._robot.drive(0.0, 0.0, owner=OWNER)
             await self._robot.release(OWNER)
             if self._armed_here and (await self._watcher.status()).armed:
                 await self._robot.disarm()
-                return
+        with contextlib.suppress(ClientError):
             end_s = self._loop.time() + REST_WITHIN_S
-            while self._loop.time() < end_s:
-                if self._rests(await self._watcher.status()):
-                    return
+            found = await self._watcher.status()
+            while found.rest == Rest.TURNING and not self._rests(found):
+                if self._loop.time() >= end_s:
+                    break
                 await asyncio.sleep(SEND_PERIOD_S)
+                found = await self._watcher.status()
+        if not self._rests(found):
+            unseen = rest_text(found.rest, found.rest_unknown_s) or f"the wheels turn: {KEEP_AWAY}"
+            self._why = "; ".join(filter(None, (self._why, unseen)))
 
     def _rests(self, found: Status) -> bool:
         """Whether the robot is at rest, or another source has a lease."""
@@ -260,15 +269,19 @@ class Teleop:
 
     def _words(self, found: Status) -> str:
         at, now_s = found.odometry, self._loop.time()
+        speed = f"speed {not_known(at.age_s)}"
+        if at.linear_m_s is not None:
+            speed = f"{at.linear_m_s:6.2f} m/s {at.angular_rad_s:6.2f} rad/s"
         text = (
-            f"{found.state:9} {100 * self._speeds.part:3.0f} %  {at.linear_m_s:6.2f} m/s "
-            f"{at.angular_rad_s:6.2f} rad/s  x {at.x_m:.2f} y {at.y_m:.2f} m "
-            f"{at.heading_rad:.2f} rad"
+            f"{found.state:9} {100 * self._speeds.part:3.0f} %  {speed}  "
+            f"x {at.x_m:.2f} y {at.y_m:.2f} m {at.heading_rad:.2f} rad"
         )
         if self._dead_man.barred(now_s):
             return f"slow link: release the key and press it again   {text}"
         if self._answer is not None and not self._answer["in_command"]:
             return f"{text}  {self._answer['owner']} is in command"
+        if found.rest == Rest.UNKNOWN and found.state != "configuring":
+            return f"{found.state}: {rest_text(found.rest, found.rest_unknown_s)}"
         if found.state in ("fault", "estop"):
             return f"{found.state}, r resets: {'; '.join(found.why)}"
         if found.state == "idle":

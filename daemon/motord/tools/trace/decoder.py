@@ -84,7 +84,10 @@ class Decoder:
         for name, node, profile in self._drives:
             for label, frame in profile.can.frames.items() if profile.can else ():
                 ours = frame.sender is not Sender.DRIVE
-                if ours != exchange.outward or frame.identifier(node) != message.arbitration_id:
+                named = (frame.identifier(node), frame.is_extended(node))
+                if ours != exchange.outward or named != (
+                    message.arbitration_id, message.is_extended_id,
+                ):  # fmt: skip
                     continue
                 signals = signals_of(dict(profile.registers), label)
                 raw = parse(frame, signals, bytes(message.data))

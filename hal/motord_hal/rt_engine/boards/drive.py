@@ -33,7 +33,7 @@ class BoardRtDrive(RtDrive):
         say: Say,
         silence_s: float,
     ) -> None:
-        super().__init__(0, jobs, spec.watchdog_s, thread, notifier, say)
+        super().__init__(0, jobs, spec, thread, notifier, say)
         self.jobs = jobs
         self._board = thread
         self._silence_s = silence_s

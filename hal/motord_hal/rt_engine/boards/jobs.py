@@ -40,20 +40,22 @@ class BoardJobs(OrderJobs):
 
     async def run(
         self, name: str, steps: Sequence[Step], *, urgent: bool = False, check: Check = always
-    ) -> None:
-        """Do the steps in order. Call `check` before each, and repeatedly during a wait. Raise
-        HalError if a step fails."""
+    ) -> int:
+        """Do the steps in order. Call `check` before each, and repeatedly during a wait. Return the
+        raw value that the newest wait has read. Raise HalError if a step fails."""
         async with self._in_turn(urgent=urgent):
-            await self._work(name, steps, check)
+            return await self._work(name, steps, check)
 
-    async def _work(self, name: str, steps: Sequence[Step], check: Check) -> None:
+    async def _work(self, name: str, steps: Sequence[Step], check: Check) -> int:
+        raw = 0
         stops = await self._stops() if name == ARM else None
         for step in steps:
             check()
             if step.value is None:
-                await self._wait_for(name, step, check)
+                raw = await self._wait_for(name, step, check)
             for write in writes(self._layout, [step]):
                 await self._write(name, write, stops)
+        return raw
 
     def _drive_report(self) -> BoardDriveReport:
         return self._thread.report().drives[0]
@@ -74,7 +76,7 @@ class BoardJobs(OrderJobs):
         if not await self._all_sent(dropped):
             raise NoReply(f"{self._name}: {name}: not written: stopped, or the port takes no bytes")
 
-    async def _wait_for(self, name: str, step: Step, check: Check) -> None:
+    async def _wait_for(self, name: str, step: Step, check: Check) -> int:
         """Wait until the register has the value of the step, in feedback that the board made after
         it had received all writes."""
         until_s = now_s() + max(step.within_s, WAIT_LEAST_S)
@@ -82,7 +84,7 @@ class BoardJobs(OrderJobs):
             report = self._drive_report()
             raw = self._layout.raw(step.register, report.payload)
             if report.knows and raw is not None and raw & step.mask == step.equals:
-                return
+                return raw
             if now_s() > until_s:
                 raise DriveFault(
                     f"{self._name}: {name}: {step.register} is {raw or 0:#x}, "

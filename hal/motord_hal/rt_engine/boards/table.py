@@ -16,7 +16,7 @@ from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.realtime.table import FieldKind
 from motord_hal.rt_engine.boards.layout import Layout, Plain, setpoint_of
-from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, sources_of
+from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, sources_of, wheel_factor
 from motord_hal.rt_engine.rs485.table import raw_limits, si_per_raw
 
 UNRESPONSIVE_ALLOWANCE_S = 0.12
@@ -107,8 +107,7 @@ def _meaning(plan: DrivePlan, joint: JointSpec, kind: FieldKind, register: Regis
         return {"counter_bits": plan.profile.counter_bits}
     if kind is FieldKind.FAULT:
         return harmless_words(plan.profile)
-    own = (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
-    return {"si_per_raw": si_per_raw(register) * (own if kind is FieldKind.VELOCITY else 1.0)}
+    return {"si_per_raw": si_per_raw(register) * wheel_factor(joint, kind)}
 
 
 def _board_fields(spec: LineSpec, profile: DriveProfile, layout: Layout) -> Iterator[Plain]:

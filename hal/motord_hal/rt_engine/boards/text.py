@@ -86,10 +86,7 @@ def _factors(
             name: [step * text.scale * (name == one) for one, step in steps.items()]
             for name in sent.fields
         }
-    at_wheel = {
-        joint.name: steps[joint.name] * (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
-        for joint, _ in setpoints
-    }
+    at_wheel = {joint.name: steps[joint.name] * joint.velocity_factor for joint, _ in setpoints}
     alone = [twist_of(text, dict.fromkeys(steps, 0.0) | {n: at_wheel[n]}) for n in steps]
     return {name: [twist[name] for twist in alone] for name in sent.fields}
 

@@ -36,7 +36,7 @@ class CanRtDrive(RtDrive):
         notifier: Notifier,
         say: Say,
     ) -> None:
-        super().__init__(index, jobs, spec.watchdog_s, thread, notifier, say)
+        super().__init__(index, jobs, spec, thread, notifier, say)
         self.jobs = jobs
         self._bus = thread
         self._cycle_s = 1.0 / spec.cycle_hz

@@ -49,9 +49,12 @@ class CanJobs(OrderJobs):
 
     async def run(
         self, name: str, steps: Sequence[Step], *, urgent: bool = False, check: Check = always
-    ) -> None:
-        """Do the steps in order; call `check` before each. Raise HalError if a step fails."""
-        await self.finish(Job(name, steps), urgent=urgent, check=check)
+    ) -> int:
+        """Do the steps in order; call `check` before each. Return the raw value that the newest
+        wait has read. Raise HalError if a step fails."""
+        job = Job(name, steps)
+        await self.finish(job, urgent=urgent, check=check)
+        return job.raw
 
     async def finish(self, job: Job, *, urgent: bool = False, check: Check = always) -> None:
         """Run a job that the caller made. Afterwards `job.raw` has the value that it read."""

@@ -9,16 +9,17 @@ from collections import Counter
 from motord_hal.base.clock import now_s
 from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.can.errors import BusTrouble, BusWarnings, error_words
+from motord_hal.can.identifiers import ForeignSenders, can_plans
 from motord_hal.can.interface import BUS_OFF_TEXT, BusOffWatch, make_ready
-from motord_hal.can.plan import STEADY_S, CanPlan, wire_limit_hz
+from motord_hal.can.plan import STEADY_S, wire_limit_hz
 from motord_hal.drives.profile import Step
 from motord_hal.fieldbus.job import Job
 from motord_hal.fieldbus.ports import EventKind, LineSpec, LineStats, Listener
-from motord_hal.fieldbus.units import joints_by_unit
 from motord_hal.realtime.can import (
     DRIVES_MAX,
     ERROR,
     EXTENDED,
+    SENDINGS_MAX,
     CanReport,
     CanThread,
     Received,
@@ -30,7 +31,7 @@ from motord_hal.rt_engine.base import RtLineBase
 from motord_hal.rt_engine.can.drive import CanRtDrive
 from motord_hal.rt_engine.can.jobs import CanJobs
 from motord_hal.rt_engine.can.port import open_socket
-from motord_hal.rt_engine.can.table import can_table
+from motord_hal.rt_engine.can.table import can_table, raw_identifier, table_sendings
 
 _IDENTIFIER = 0x1FFF_FFFF
 
@@ -43,9 +44,13 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
     def __init__(self, spec: LineSpec, exchange: Exchange, listener: Listener) -> None:
         super().__init__(spec, listener)
         self._thread = CanThread(spec.index, exchange)
-        self._plans = [CanPlan(joints) for joints in joints_by_unit(spec)]
+        self._plans = can_plans(spec)
         if len(self._plans) > DRIVES_MAX:
             raise ProfileError(f"{spec.name}: {len(self._plans)} drives, at most {DRIVES_MAX}")
+        self._sendings = table_sendings(self._plans)
+        if len(self._sendings) > SENDINGS_MAX:
+            text = f"motord sends {len(self._sendings)} identifiers, at most {SENDINGS_MAX}"
+            raise ProfileError(f"{spec.name}: {text}")
         self._table = can_table(spec, self._plans)
         check_table(spec.name, self._table)
         self._drives = [
@@ -64,6 +69,8 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         self._bus_off = BusOffWatch(spec.port)
         self._errors: Counter[str] = Counter()
         self._warnings = BusWarnings()
+        self._foreign = 0
+        self._foreign_senders = ForeignSenders()
         self._frames = self._cycles = 0
         self._before = {"epoch": 0, "may_turn": 0, "left_running": int(spec.left_running)}
         """State of the drives that the next thread starts from. With `epoch` the feedback after a
@@ -90,9 +97,9 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
 
     # ----------------------------------------------------------------------------------- the socket
     async def _start(self) -> tuple[str, ...]:
-        identifiers = [
-            one for plan in self._plans for one in (*plan.identifiers, *plan.setpoint_identifiers)
-        ]
+        received = [one for plan in self._plans for one in plan.identifiers]
+        identifiers = [number | EXTENDED * extended for number, extended in received]
+        identifiers += map(raw_identifier, self._sendings)
         fd_frames = self.spec.data_baudrate is not None
         await make_ready(self.spec.port, self._errors, fd_frames=fd_frames)
         self._bus = open_socket(self.spec.port, identifiers, fd_frames=fd_frames)
@@ -111,6 +118,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
     def _close_port(self) -> None:
         if self._report is not None:
             last = self._thread.report()
+            self._foreign = 0
             self._frames += last.received
             self._cycles += last.cycles
             self._before |= {
@@ -138,7 +146,17 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
     def _look(self) -> CanReport:
         """Extend `RtLineBase._look`: take the received frames first."""
         self._take_frames()
-        return super()._look()
+        report = super()._look()
+        if report.foreign > self._foreign:
+            sending = self._sendings[report.foreign_sending]
+            self._warn(self._foreign_senders.new(sending, now_s()))
+        self._foreign = report.foreign
+        return report
+
+    def _warn(self, text: str) -> None:
+        if text:
+            text = f"{self.spec.name}: {self.spec.port}: {text}"
+            self._say_all(EventKind.DRIVE_WARNING, text)
 
     def _take_frames(self) -> None:
         while (received := self._thread.take()) is not None:
@@ -159,8 +177,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
         kinds, trouble = error_words(received.identifier & ~ERROR, received.data)
         self._errors.update(kinds)
         for warning in self._warnings.new(kinds, now_s()):
-            text = f"{self.spec.name}: {self.spec.port}: {warning}"
-            self._say_all(EventKind.DRIVE_WARNING, text)
+            self._warn(warning)
         if trouble is BusTrouble.BUS_OFF:
             self._trouble = PortError(f"{self.spec.port}: {BUS_OFF_TEXT}")
             self._notifier.poke()
@@ -179,5 +196,10 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
 
 def _errors(report: CanReport) -> Counter[str]:
     """Return the errors in a report by their kind, without counters of zero."""
-    counts = {"tx_full": report.tx_full, "bad_frame": report.bad_frames, "unheard": report.dropped}
+    counts = {
+        "tx_full": report.tx_full,
+        "bad_frame": report.bad_frames,
+        "unheard": report.dropped,
+        "foreign": report.foreign,
+    }
     return Counter({kind: count for kind, count in counts.items() if count})

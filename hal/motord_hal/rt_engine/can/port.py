@@ -24,10 +24,9 @@ _ERRORS_ALL = 0x1FFF_FFFF
 """Mask of all error frames: CAN_ERR_MASK of linux/can/error.h."""
 
 
-def open_socket(
-    address: str, identifiers: Iterable[tuple[int, bool]], *, fd_frames: bool
-) -> socket.socket:
-    """Open a non-blocking socket on the CAN bus. A SocketCAN socket also receives its own frames
+def open_socket(address: str, identifiers: Iterable[int], *, fd_frames: bool) -> socket.socket:
+    """Open a non-blocking socket on the CAN bus for frames with these identifiers, each with its
+    flag bits. A SocketCAN socket also receives its own frames
     once they were sent. Raise PortError if the socket cannot be opened."""
     interface, channel = split_address(address)
     try:
@@ -50,12 +49,10 @@ def _connected(path: str) -> socket.socket:
     return bus
 
 
-def _bound(
-    channel: str, identifiers: Iterable[tuple[int, bool]], *, fd_frames: bool
-) -> socket.socket:
+def _bound(channel: str, identifiers: Iterable[int], *, fd_frames: bool) -> socket.socket:
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW | socket.SOCK_NONBLOCK, socket.CAN_RAW)
     try:
-        filters = b"".join(_filter(*one) for one in identifiers)
+        filters = b"".join(map(_filter, identifiers))
         bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
         bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ERRORS_ALL)
         bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_RECV_OWN_MSGS, 1)
@@ -69,6 +66,6 @@ def _bound(
     return bus
 
 
-def _filter(identifier: int, extended: bool) -> bytes:
-    number = 0x1FFF_FFFF if extended else 0x7FF
-    return _FILTER.pack(identifier | EXTENDED * extended, number | EXTENDED | REMOTE)
+def _filter(identifier: int) -> bytes:
+    number = 0x1FFF_FFFF if identifier & EXTENDED else 0x7FF
+    return _FILTER.pack(identifier, number | EXTENDED | REMOTE)

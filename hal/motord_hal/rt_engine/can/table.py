@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from motord_hal.can.identifiers import Sending, sendings
 from motord_hal.can.job_step import merged_writes
 from motord_hal.can.plan import SLOW_EVERY_CYCLES, CanPlan, Sent
 from motord_hal.drives.can_profile import FLOAT_MAX, Frame, Sender, Signal, signals_of
@@ -20,7 +21,7 @@ from motord_hal.drives.profile import SI_UNITS, Enabled, Handshake, Step
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.realtime.can import EXTENDED, REMOTE
 from motord_hal.realtime.table import FieldKind
-from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, sources_of
+from motord_hal.rt_engine.decoding import harmless_words, setpoint_scale, sources_of, wheel_factor
 
 SAMPLE_PART = 0.5
 """Least distance of two samples as a part of their period. The thread ignores a sample that follows
@@ -34,7 +35,10 @@ Plain = dict[str, Any]
 def can_table(spec: LineSpec, plans: Sequence[CanPlan]) -> Plain:
     """Return the table of a CAN line. C checks it once more and names the first bad field."""
     syncs = list(dict.fromkeys(plan.sync for plan in plans if plan.sync))
+    sending = [raw_identifier(one) for one in table_sendings(plans)]
     return {
+        "sending_count": len(sending),
+        "sending": sending,
         "sync_count": len(syncs),
         "sync": [packet(sync) for sync in syncs],
         "drive_count": len(plans),
@@ -43,6 +47,16 @@ def can_table(spec: LineSpec, plans: Sequence[CanPlan]) -> Plain:
         "rest_velocity_rad_s": spec.rest_velocity_rad_s,
         "drive": [drive_table(plan, spec) for plan in plans],
     }
+
+
+def table_sendings(plans: Sequence[CanPlan]) -> list[Sending]:
+    """Return the identifiers that motord sends, in the order of the table."""
+    return sorted(sendings(plans), key=raw_identifier)
+
+
+def raw_identifier(sending: Sending) -> int:
+    """Return the identifier with its flag bits."""
+    return sending.identifier | EXTENDED * sending.extended | REMOTE * sending.remote
 
 
 def inputs_of(plan: CanPlan) -> tuple[Frame, ...]:
@@ -254,11 +268,11 @@ def _joint_field(plan: CanPlan, joint: JointSpec, kind: FieldKind, signal: Signa
         per_si = profile.counts_per_turn / (2.0 * math.pi)
         factor, at_zero = (1.0, 0.0) if counted else (factor * per_si, at_zero * per_si)
         meaning["counter_bits"] = profile.counter_bits
-    elif kind is FieldKind.VELOCITY:
-        own = (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
-        factor, at_zero = factor * own, at_zero * own
     elif kind is FieldKind.FAULT:
         meaning |= harmless_words(profile)
+    else:
+        own = wheel_factor(joint, kind)
+        factor, at_zero = factor * own, at_zero * own
     meaning["si_per_raw"] = factor
     return {"place": _place(signal), "meaning": meaning, "si_at_zero": at_zero}
 

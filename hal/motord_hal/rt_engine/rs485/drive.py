@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import abc
 import asyncio
+import contextlib
 from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Any, Protocol
 
 from motord_hal.base.clock import NS_PER_S, now_ns, within
-from motord_hal.base.errors import HalError, PortError
+from motord_hal.base.errors import HalError, PortError, Refused, WrongDrive
 from motord_hal.base.retry import Backoff
 from motord_hal.drives.profile import DriveProfile, Step
 from motord_hal.fieldbus.faults import STILL_ENABLED_TEXT, FaultWatch, Say
 from motord_hal.fieldbus.job import VERIFY_WITHIN_S, clear_steps, configure_steps, kept_steps
-from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec
+from motord_hal.fieldbus.ports import DriveState, EventKind, JointSpec, LineSpec
+from motord_hal.fieldbus.set_up import Part, braking_within_s, set_up
 from motord_hal.realtime.drive_state import FaultReason, Mode
 from motord_hal.realtime.line import AnswerKind, DriveReport, LineThread
 from motord_hal.realtime.thread import AnyDriveReport, LineThreadHandle
@@ -67,7 +69,7 @@ class Jobs(Protocol):
 
     async def run(
         self, name: str, steps: Sequence[Step], *, urgent: bool = ..., check: Check = ...
-    ) -> None: ...
+    ) -> int: ...
 
 
 class RtDrive(abc.ABC):
@@ -77,7 +79,7 @@ class RtDrive(abc.ABC):
         self,
         index: int,
         jobs: Jobs,
-        watchdog_s: float,
+        spec: LineSpec,
         thread: LineThreadHandle,
         notifier: Notifier,
         say: Say,
@@ -86,7 +88,9 @@ class RtDrive(abc.ABC):
         self.names = tuple(joint.name for joint in jobs.joints)
         self.faults = {name: FaultWatch(name, jobs.profile, say) for name in self.names}
         self._index = index
-        self._setup = configure_steps(jobs.profile, watchdog_s)
+        self._setup = configure_steps(jobs.profile, spec.watchdog_s)
+        self._rest_velocity_rad_s = spec.rest_velocity_rad_s
+        self._braking_within_s = braking_within_s(spec)
         self._thread = thread
         self._notifier = notifier
         self._say = say
@@ -163,7 +167,7 @@ class RtDrive(abc.ABC):
             self._is_unresponsive(self._why_unresponsive(report))
         for bit in report.fault_reasons & ~before_reasons:
             if bit in _WARNINGS:
-                self._say(EventKind.DRIVE_WARNING, self.names, f"{self} {_WARNINGS[bit]}")
+                self._warn(_WARNINGS[bit])
 
     def _is_ready(self) -> None:
         self._backoff.reset()
@@ -173,11 +177,11 @@ class RtDrive(abc.ABC):
             self._say(EventKind.DRIVE_READY, self.names, f"{self} is configured and disarmed")
         self._reported_unresponsive = False
 
-    def _is_unresponsive(self, why: str) -> None:
+    def _is_unresponsive(self, why: str, what: str = "is unresponsive") -> None:
         if not self._reported_unresponsive:
             self._reported_unresponsive = True
             cause = "; ".join(filter(None, (why, self._hint())))
-            self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} is unresponsive: {cause}")
+            self._say(EventKind.DRIVE_UNRESPONSIVE, self.names, f"{self} {what}: {cause}")
 
     # -------------------------------------------------------------------------------- the two tasks
     async def keep_set_up(self) -> None:
@@ -187,15 +191,38 @@ class RtDrive(abc.ABC):
             try:
                 await self._present()
                 self._failed_setup = False
-                await self._jobs.run("configure", self._setup)
+                await self._set_up_now()
                 await self._obeyed(self._thread.request_mode(self._index, Mode.READY))
                 continue
             except PortError:
                 pass  # the line has also seen it, and ends this task
+            except WrongDrive as error:
+                self._failed_setup = True
+                self._is_unresponsive(str(error), what="is refused")
             except HalError as error:
                 self._failed_setup = True
                 self._is_unresponsive(str(error))
             await asyncio.sleep(self._backoff.next_s())
+
+    async def _set_up_now(self) -> None:
+        parts = set_up(
+            self._jobs.joints, self.profile, self._setup, self._rest_velocity_rad_s, self._warn,
+            self._braking_within_s,
+        )  # fmt: skip
+        part = next(parts)
+        with contextlib.suppress(StopIteration):
+            while True:
+                part = parts.send(await self._do(part))
+
+    async def _do(self, part: Part) -> int:
+        if not part.stops:
+            return await self._jobs.run("configure", part.steps)
+        with contextlib.suppress(Refused):  # the others were sent
+            await self._jobs.run("configure", part.steps, urgent=True)
+        return 0
+
+    def _warn(self, text: str) -> None:
+        self._say(EventKind.DRIVE_WARNING, self.names, f"{self} {text}")
 
     async def keep_powered_off(self) -> None:
         """Power the drive off whenever it was stood down, before all other requests, for ever."""
@@ -291,13 +318,13 @@ class SerialDrive(RtDrive):
         self,
         index: int,
         jobs: DriveJobs,
-        watchdog_s: float,
+        spec: LineSpec,
         thread: LineThread,
         notifier: Notifier,
         say: Say,
         hint: Callable[[], str],
     ) -> None:
-        super().__init__(index, jobs, watchdog_s, thread, notifier, say)
+        super().__init__(index, jobs, spec, thread, notifier, say)
         self.jobs = jobs
         self._line_hint = hint
 

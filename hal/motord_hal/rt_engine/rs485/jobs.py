@@ -38,13 +38,15 @@ class DriveJobs:
         *,
         urgent: bool = False,
         check: Check = always,
-    ) -> None:
+    ) -> int:
         """Do the steps in order; call `check` right before each request. An urgent job is a
-        power-off: it goes on after a refused write. Raise HalError if a step fails."""
+        stop: it goes on after a refused write. Return the raw value that the newest wait has
+        read. Raise HalError if a step fails."""
         refused: Refused | None = None
+        raw = 0
         for step in steps:
             if step.value is None:
-                await self._wait_for(name, step, check)
+                raw = await self._wait_for(name, step, check)
                 continue
             value = await self._copied(step, check) if step.copy_of else step.value
             if step.if_different and await self.read(step.register, check=check) == value:
@@ -58,18 +60,19 @@ class DriveJobs:
                     refused = refused or error
         if refused is not None:
             raise refused
+        return raw
 
     async def _copied(self, step: Step, check: Check) -> int:
         registers = self.profile.registers
         raw = await self.read(step.copy_of, check=check)
         return registers[step.register].from_si(registers[step.copy_of].to_si(raw))
 
-    async def _wait_for(self, name: str, step: Step, check: Check) -> None:
+    async def _wait_for(self, name: str, step: Step, check: Check) -> int:
         give_up_s = None
         while True:
             raw = await self.read(step.register, check=check)
             if raw & step.mask == step.equals:
-                return
+                return raw
             give_up_s = give_up_s or now_s() + step.within_s
             if now_s() > give_up_s:
                 raise DriveFault(

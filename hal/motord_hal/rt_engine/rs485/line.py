@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from motord_hal.base.errors import HalError, ProfileError
 from motord_hal.fieldbus.parameter import readable
 from motord_hal.fieldbus.ports import LineSpec, LineStats, Listener
@@ -14,9 +16,10 @@ from motord_hal.rt_engine.rs485.drive import SerialDrive
 from motord_hal.rt_engine.rs485.jobs import DriveJobs
 from motord_hal.rt_engine.rs485.protocols import frames_of
 from motord_hal.rt_engine.rs485.request_queue import RequestQueue
-from motord_hal.rt_engine.rs485.table import line_table
+from motord_hal.rt_engine.rs485.table import late_ns, line_table
 from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.port import OpenPort, open_port
+from motord_hal.serial.settings import is_pty
 
 SLOT_ALLOWANCE_S = 0.3
 """Time that a request may wait beyond the slowest cycle, for lost replies of any drive and for the
@@ -45,7 +48,7 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
             SerialDrive(
                 index,
                 DriveJobs(index, drive, self._queue),
-                spec.watchdog_s,
+                spec,
                 self._thread,
                 self._notifier,
                 self._say,
@@ -76,7 +79,8 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
             event_fd=self._notifier.event_fd,
             may_turn=self._may_turn,
         )
-        self._thread.start(thread, self._table)
+        late = late_ns(is_pty=is_pty(self._port.fd))
+        self._thread.start(thread, replace(self._table, late_ns=late))
         self._report = self._thread.report()
         self._witness.forget()
         self._witness.look(self._port.fd)

@@ -14,9 +14,10 @@ from types import MappingProxyType
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register, Step
 from motord_hal.fieldbus.job import configure_steps, kept_steps, watchdog_time_s
 from motord_hal.fieldbus.ports import Echo, JointSpec, LineSpec
+from motord_hal.fieldbus.positions import raw_offset, raw_per_rad, raw_per_s
 from motord_hal.modbus.codec import character_bits
 from motord_hal.modbus.plan import EXTRA_EVERY_CYCLES
-from motord_hal.modbus.timing import line_gap_s
+from motord_hal.modbus.timing import LATE_PTY_S, LATE_UART_S, line_gap_s
 from motord_hal.realtime.table import (
     NO_GROUP,
     FieldKind,
@@ -32,11 +33,9 @@ from motord_hal.realtime.table import (
 )
 from motord_hal.rt_engine.decoding import (
     harmless,
-    raw_offset,
-    raw_per_rad,
-    raw_per_s,
     setpoint_kind,
     sources_of,
+    wheel_factor,
 )
 from motord_hal.rt_engine.rs485.frames import DriveFrames, PlannedFrame
 from motord_hal.rt_engine.rs485.servo_frames import EXTRA_EVERY_CYCLES as SERVO_EXTRA_EVERY
@@ -56,12 +55,18 @@ def line_table(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineTable:
         echo=0 if spec.kind == "roboclaw" else _ECHO[spec.echo],  # a RoboClaw's line has no echo
         character_ns=bits * _NS_PER_S / spec.baudrate,
         gap_ns=round(line_gap_s(spec) * _NS_PER_S),
+        late_ns=late_ns(is_pty=True),  # the longest; the open port shows which it is
         setpoint_timeout_ns=round(spec.setpoint_timeout_s * _NS_PER_S),
         rest_velocity_rad_s=spec.rest_velocity_rad_s,
         broadcast_stop=_broadcast_stop(drives),
         group=_group(spec, drives),
         drive=tuple(drive_table(frames, spec) for frames in drives),
     )
+
+
+def late_ns(*, is_pty: bool) -> int:
+    """Return the time after a request in which its reply may come late: `line_table.late_ns`."""
+    return round((LATE_PTY_S if is_pty else LATE_UART_S) * _NS_PER_S)
 
 
 def _group(spec: LineSpec, drives: Sequence[DriveFrames]) -> LineGroup:
@@ -152,7 +157,7 @@ def _setpoints(frames: DriveFrames, places: Mapping[str, int]) -> Iterable[LineS
             continue
         register = frames.profile.registers[name]
         magnitude = channel.direction is not None
-        sign = -1.0 if joint.inverted and not magnitude else 1.0
+        sign = 1.0 if magnitude else joint.sign
         low, high = raw_limits(register)
         factor = sign * channel.to_motor(joint.gear_ratio) / si_per_raw(register)
         if channel.position_setpoint is not None:
@@ -237,11 +242,10 @@ def _joint_field(
     frames: DriveFrames, joint: JointSpec, kind: FieldKind, register: Register, byte: int
 ) -> LineField:
     form, mask = form_of(frames.profile, register), register.mask or 0
-    factor, direction = si_per_raw(register), 0
+    factor, direction = si_per_raw(register) * wheel_factor(joint, kind), 0
     if kind is FieldKind.COUNT:
         form, mask = _counter(register, frames.profile)
     elif kind is FieldKind.VELOCITY:
-        factor *= (-1.0 if joint.inverted else 1.0) / joint.gear_ratio
         joints = _direction_joints(frames)
         if not register.type.signed and joint in joints:
             direction = 1 + joints.index(joint)

@@ -15,6 +15,7 @@ import can
 
 from motord_hal.drives.can_profile import Frame, Sender
 from motord_hal.fieldbus.ports import LineSpec
+from motord_hal.fieldbus.units import DriveKey
 from motord_hal.sim.can.content import CanContent
 from motord_hal.sim.can.port import CanPort
 from motord_hal.sim.faults import FaultScript
@@ -46,7 +47,7 @@ class SimulatedCanLine:
     def __init__(
         self,
         spec: LineSpec,
-        drives: Mapping[int, SimulatedDrive],
+        drives: Mapping[DriveKey, SimulatedDrive],
         script: FaultScript,
         port: CanPort,
     ) -> None:
@@ -58,13 +59,13 @@ class SimulatedCanLine:
         self._out: list[tuple[float, int, can.Message]] = []
         self._order = itertools.count()
         self._off_until_s = -math.inf
-        self._periods: dict[tuple[int, str], float] = {
-            (unit, frame.name): frame.period_s * (place + 1) / (len(drives) + 1)
-            for place, (unit, drive) in enumerate(drives.items())
+        self._periods: dict[tuple[DriveKey, str], float] = {
+            (key, frame.name): frame.period_s * (place + 1) / (len(drives) + 1)
+            for place, (key, drive) in enumerate(drives.items())
             for frame in _content(drive).table.frames_from(Sender.DRIVE)
             if frame.period_s
         }
-        """(Unit, frame) → time when it is due. The drives' clocks are not in step."""
+        """(Drive, frame) → time when it is due. The drives' clocks are not in step."""
 
     # ---------------------------------------------------------------------------------- plugging
     def plug(self) -> None:
@@ -117,25 +118,27 @@ class SimulatedCanLine:
     def stats(self) -> dict[str, Any]:
         return {
             **asdict(self.counters),
-            "units": {str(unit): asdict(drive.stats) for unit, drive in self.drives.items()},
+            "units": {str(drive.unit): asdict(drive.stats) for drive in self.drives.values()},
         }
 
     # ----------------------------------------------------------------------------- from the master
     def _obey(self, message: can.Message, now_s: float) -> None:
         self.counters.frames += 1
         known = False
-        for unit, drive in self.drives.items():
-            table = _content(drive).table
+        for drive in self.drives.values():
+            table, unit = _content(drive).table, drive.unit
             sender = Sender.DRIVE if message.is_remote_frame else Sender.MOTORD
             for frame in table.frames_from(sender):
                 named = frame.identifier(unit) == message.arbitration_id
                 if named and frame.is_extended(unit) == message.is_extended_id:
-                    known |= self._execute(unit, frame, message, now_s)
+                    known |= self._execute(drive, frame, message, now_s)
         self.counters.unanswered += not known
 
-    def _execute(self, unit: int, frame: Frame, message: can.Message, now_s: float) -> bool:
+    def _execute(
+        self, drive: SimulatedDrive, frame: Frame, message: can.Message, now_s: float
+    ) -> bool:
         """Execute a frame. Return whether the drive has received and understood it."""
-        drive = self.drives[unit]
+        unit = drive.unit
         if not drive.on or self._script.silent(unit, now_s):
             return False
         if any(f.kind == "unheard" and f.strikes(unit, now_s) for f in self._script.faults):
@@ -143,7 +146,7 @@ class SimulatedCanLine:
         content = _content(drive)
         if message.is_remote_frame:
             drive.execute_can([], now_s)
-            self._reply(unit, frame, now_s)
+            self._reply(drive, frame, now_s)
             return True
         data = bytes(message.data)
         if frame.node_byte is not None and data[frame.node_byte :][:1] not in (
@@ -159,30 +162,30 @@ class SimulatedCanLine:
         drive.execute_can(taken, now_s)
         for answer in content.answers(frame):
             if drive.sends(answer):
-                self._reply(unit, answer, now_s)
+                self._reply(drive, answer, now_s)
         return True
 
-    def _reply(self, unit: int, frame: Frame, now_s: float) -> None:
-        turnaround_s = self._script.turnaround_s(unit, now_s)
+    def _reply(self, drive: SimulatedDrive, frame: Frame, now_s: float) -> None:
+        turnaround_s = self._script.turnaround_s(drive.unit, now_s)
         if turnaround_s is None:
-            turnaround_s = TURNAROUND_PART * self.drives[unit].profile.turnaround_s
-        self._say(unit, frame, now_s + turnaround_s, now_s)
+            turnaround_s = TURNAROUND_PART * drive.profile.turnaround_s
+        self._say(drive, frame, now_s + turnaround_s, now_s)
 
     # ----------------------------------------------------------------------------- from the drives
     def _speak(self, now_s: float) -> None:
         """Queue frames that the drives send by themselves. A missed time is not made up for."""
-        for (unit, name), due_s in self._periods.items():
+        for (key, name), due_s in self._periods.items():
             if now_s < due_s:
                 continue
-            drive = self.drives[unit]
+            drive = self.drives[key]
             frame = _content(drive).table.frames[name]
-            self._periods[unit, name] = max(due_s + frame.period_s, now_s)
-            if drive.on and drive.sends(frame) and not self._script.silent(unit, now_s):
-                self._say(unit, frame, now_s, now_s)
+            self._periods[key, name] = max(due_s + frame.period_s, now_s)
+            if drive.on and drive.sends(frame) and not self._script.silent(drive.unit, now_s):
+                self._say(drive, frame, now_s, now_s)
 
-    def _say(self, unit: int, frame: Frame, at_s: float, now_s: float) -> None:
+    def _say(self, drive: SimulatedDrive, frame: Frame, at_s: float, now_s: float) -> None:
         """Queue the frame with its present content, unless a fault spoils it."""
-        node = unit
+        node = unit = drive.unit
         for fault in self._script.faults:
             if fault.kind not in ("drop", "delay", "wrong-unit") or not fault.strikes(unit, now_s):
                 continue
@@ -192,14 +195,14 @@ class SimulatedCanLine:
             if fault.kind == "delay":
                 at_s += fault.values["ms"] / 1000.0
             else:
-                table = _content(self.drives[unit]).table
+                table = _content(drive).table
                 node = table.node_min + (unit - table.node_min + 1) % (table.node_max + 1)
         message = can.Message(
             arbitration_id=frame.identifier(node),
             is_extended_id=frame.is_extended(node),
             is_fd=frame.fd,
             bitrate_switch=frame.fd,
-            data=_content(self.drives[unit]).sent(frame),
+            data=_content(drive).sent(frame),
         )
         heapq.heappush(self._out, (at_s, next(self._order), message))
 

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A joystick of the kernel (uinput): wheels turn only while its dead-man button is held."""
 
-import os
 from pathlib import Path
 
 import evdev
@@ -12,6 +11,7 @@ from shell import wait_until
 from stage import daemon, granted
 
 NAME = "motord test pad"
+PACKAGES = Path("/usr/lib/motord/lib/python3.11/site-packages")
 SECTION = f"""
 [input.pad]
 kind = "joystick"
@@ -30,13 +30,19 @@ def pad():
 
 
 @pytest.fixture
-def stage(tmp_path, simulator, monkeypatch):
-    """A running daemon. Its package has no evdev; it uses that of the distribution."""
+def packaged():
+    """motord's package, with evdev where `motord check` wants it installed. It looks nowhere
+    else: not in PYTHONPATH, and not in the packages of the distribution."""
+    link = PACKAGES / "evdev"
+    link.symlink_to(Path(evdev.__file__).parent)
+    yield
+    link.unlink()
+
+
+@pytest.fixture
+def stage(tmp_path, packaged, simulator):
+    """A running daemon."""
     plug()
-    given = tmp_path / "packages"
-    given.mkdir()
-    (given / "evdev").symlink_to(Path(evdev.__file__).parent)
-    monkeypatch.setenv("PYTHONPATH", os.environ["PYTHONPATH"] + os.pathsep + str(given))
     robot = robot_file(tmp_path, UART)
     robot.write_text(robot.read_text() + SECTION)
     with behind(simulator, adapter()) as sim, daemon(tmp_path, robot, sim) as stage:

@@ -17,7 +17,7 @@ CONFIG = ROBOT.parent
 SLOW = (
     ("command_timeout_s = 0.3", "command_timeout_s = 5.0"),
     ("feedback_timeout_s = 0.25", "feedback_timeout_s = 5.0"),
-    ("heartbeat_timeout_s = 0.5", "heartbeat_timeout_s = 5.0"),
+    ("heartbeat_timeout_s = 0.5", "heartbeat_timeout_s = 5.0\ntimeout_travel_max_m = 1000.0"),
     ("drive_watchdog_s = 0.5", "drive_watchdog_s = 8.0"),
     ("rate_hz = 1000", "rate_hz = 50"),
 )

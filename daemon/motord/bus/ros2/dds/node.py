@@ -12,6 +12,7 @@ from typing import Any
 
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.delay import Delays
+from motord.bus.commands.senders import Sender
 from motord.bus.messages.cdr import decode, encode
 from motord.bus.messages.table import type_hash, with_parts
 from motord.bus.ros2 import names
@@ -19,6 +20,7 @@ from motord.bus.ros2.dds.participant import Discovery, Participant, Reader, Writ
 from motord.bus.ros2.quality import Answer, Distribution, Quality, Take
 from motord.bus.ros2.senders import Graph
 from motord.bus.ros2.services.service import Service
+from motord_hal.base.tasks import TaskGroup
 
 _GRAPH_TYPES = {
     "humble": "rmw_dds_common_humble/msg/ParticipantEntitiesInfo",
@@ -121,7 +123,8 @@ class Node:
             except ValueError as error:
                 voice.say(f"{topic}: not understood: {error}")
                 return
-            sender = self._others.name(reader.writer_gid(info.publication_handle))
+            gid = reader.writer_gid(info.publication_handle)
+            sender = Sender(self._others.name(gid), info.publication_handle)
             take(message, delays.waited_s(info.publication_handle, info.source_timestamp), sender)
 
         reader = self._participant.reader(topic, kind, quality or Quality(), _typed(kind), taken)
@@ -155,7 +158,7 @@ class Node:
     async def run(self) -> None:
         """Run the node until cancelled. When several adapters share the node, one of them runs it
         for all; if that one fails, the next one does."""
-        async with self._running, asyncio.TaskGroup() as tasks:
+        async with self._running, TaskGroup() as tasks:
             self._announce()
             for service in self._services:
                 tasks.create_task(service.run())

@@ -37,6 +37,7 @@ from cyclonedds.util import duration
 from motord.bus.ros2.dds.cyclone_types import cyclone_type
 from motord.bus.ros2.dds.discovered import Discovered
 from motord.bus.ros2.quality import Quality
+from motord_hal.base.tasks import TaskGroup
 
 Discovery = Literal["localhost", "subnet"]
 URI = "CYCLONEDDS_URI"
@@ -310,7 +311,7 @@ class Participant:
         waiting = threading.Thread(target=self._wait, args=(loop,), name="dds", daemon=True)
         waiting.start()
         try:
-            async with asyncio.TaskGroup() as tasks:
+            async with TaskGroup() as tasks:
                 tasks.create_task(self._deliver())
                 tasks.create_task(self._say_mismatches())
         finally:

@@ -78,6 +78,10 @@ class _Goal:
     work: Work
     status: Status = Status.ACCEPTED
     result: SimpleNamespace | None = None
+    alive_s: float = field(default_factory=time.monotonic)
+    """When its client last showed that it lives."""
+    lapsed: bool = False
+    """Whether it was cancelled because its client was silent."""
     cancel: asyncio.Event = field(default_factory=asyncio.Event)
     ended: asyncio.Event = field(default_factory=asyncio.Event)
 
@@ -90,11 +94,15 @@ class ActionServer:
         accept: Callable[[SimpleNamespace], Awaitable[Work]],
         nothing: SimpleNamespace,
         turn: Turn,
+        goal_lease_s: float | None = None,
     ) -> None:
         """`kind`: pkg/action/Name. `accept` raises Refused. `nothing`: the result of a goal that is
-        unknown or was aborted before it had one."""
+        unknown or was aborted before it had one. `goal_lease_s`: a goal comes to rest and is
+        aborted when its client has been silent for this long (`alive`); None: it goes on without
+        its client."""
         self._name, self._kind = name, kind
         self._accept, self._nothing, self._turn = accept, nothing, turn
+        self._goal_lease_s = goal_lease_s
         self._goals: dict[bytes, _Goal] = {}
         self._next: asyncio.Queue[_Goal] = asyncio.Queue(1)
         self._voices: dict[str, RateLimitedLog] = {}
@@ -134,6 +142,7 @@ class ActionServer:
         def report(feedback: SimpleNamespace) -> None:
             nonlocal due_s
             now_s = time.monotonic()
+            self._look_for_client(goal, now_s)
             if now_s >= due_s:
                 due_s = now_s + FEEDBACK_EVERY_S
                 self._feedback.publish(
@@ -141,8 +150,23 @@ class ActionServer:
                 )
 
         status, goal.result = await goal.work(report, goal.cancel)
+        if goal.lapsed and status is Status.CANCELED:
+            status = Status.ABORTED
+            why = f"its client was silent for {self._goal_lease_s:g} s"
+            goal.result = SimpleNamespace(**vars(goal.result) | {"message": why})
         self._become(goal, status)
         goal.ended.set()
+
+    def alive(self, number: bytes) -> None:
+        """Note that the client of a goal lives."""
+        if (goal := self._goals.get(number)) is not None:
+            goal.alive_s = time.monotonic()
+
+    def _look_for_client(self, goal: _Goal, now_s: float) -> None:
+        """Cancel a goal whose client has been silent for longer than the lease."""
+        if self._goal_lease_s is not None and now_s - goal.alive_s > self._goal_lease_s:
+            goal.lapsed = goal.lapsed or not goal.cancel.is_set()
+            goal.cancel.set()
 
     def _abort(self, goal: _Goal) -> None:
         """Abort a goal that has not ended; `run` publishes its state when it starts again."""

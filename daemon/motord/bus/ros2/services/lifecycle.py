@@ -15,14 +15,17 @@ import asyncio
 import contextlib
 import logging
 import time
+from collections.abc import Mapping
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from motord.api.deadline import within
+from motord.api.snapshot import stop_answer
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.gate import CommandGate, NotTaken
 from motord.bus.messages.sources import state_name
 from motord.bus.ros2.nodes import Node
+from motord.client import ClientError
 
 if TYPE_CHECKING:
     from motord.bus.runtime import Runtime
@@ -105,30 +108,57 @@ class Lifecycle:
         return self._sent
 
     def _now(self) -> tuple[int, str]:
+        """Return the state by the newest view, which is up to LOOK_MAX_S old."""
         if self._held == FINALIZED:
             return FINALIZED
-        view = self._runtime.view
-        if view is None:
+        return self._of(self._machine())
+
+    async def _at_the_daemon(self) -> tuple[int, str]:
+        """Return the state by the daemon's own answer, and let the view follow it: a client that
+        has just got an answer of the daemon counts on it. UNKNOWN: the daemon does not answer."""
+        if self._held == FINALIZED:
+            return FINALIZED
+        try:
+            state = str((await self._runtime.call("status"))["state"])
+        except ClientError:
             return UNKNOWN
-        machine = _OF_MACHINE.get(state_name(view.snapshot), UNKNOWN)
+        machine = _OF_MACHINE.get(state, UNKNOWN)
+        await self._view_shows(machine)
+        self._look()
+        return self._of(machine)
+
+    async def _view_shows(self, *machine: tuple[int, str]) -> None:
+        """Wait until the view shows one of these states, for SEEN_WITHIN_S at most."""
+        with contextlib.suppress(TimeoutError):
+            async with within(SEEN_WITHIN_S):
+                while self._machine() not in machine:  # noqa: ASYNC110  the view has no event
+                    await asyncio.sleep(_SEEN_EVERY_S)
+
+    def _machine(self) -> tuple[int, str]:
+        """Return the state of the machine by the newest view."""
+        view = self._runtime.view
+        return UNKNOWN if view is None else _OF_MACHINE.get(state_name(view.snapshot), UNKNOWN)
+
+    def _of(self, machine: tuple[int, str]) -> tuple[int, str]:
+        """Return the node's state for a state of the machine."""
         if machine == ACTIVE:
             self._held = None  # another client has armed the robot
         return self._held if self._held and machine == INACTIVE else machine
 
     async def _get(self, _: SimpleNamespace) -> SimpleNamespace:
-        return SimpleNamespace(current_state=_pair(*self._now()))
+        return SimpleNamespace(current_state=_pair(*await self._at_the_daemon()))
 
     async def _states(self, _: SimpleNamespace) -> SimpleNamespace:
         return SimpleNamespace(available_states=[_pair(*state) for state in _STATES])
 
     async def _available(self, _: SimpleNamespace) -> SimpleNamespace:
-        return _described(self._now())
+        return _described(await self._at_the_daemon())
 
     async def _graph(self, _: SimpleNamespace) -> SimpleNamespace:
         return _described(None)
 
     async def _change(self, request: SimpleNamespace) -> SimpleNamespace:
-        wanted, now = request.transition, self._look()
+        wanted, now = request.transition, await self._at_the_daemon()
         for number, label, start, goal, method in _TRANSITIONS:
             asked = wanted.id == number if wanted.id else wanted.label == label
             if asked and start == now:
@@ -143,19 +173,21 @@ class Lifecycle:
         return SimpleNamespace(success=False)
 
     async def _walk(self, goal: tuple[int, str], method: str | None) -> bool:
-        """Carry out a transition; return whether its goal is reached. Raises NotTaken."""
+        """Carry out a transition; return whether its goal is reached. Raises NotTaken, also for a
+        goal at rest while it is unknown whether the robot rests: the drives are disarmed then."""
         if method is None:
+            if goal == UNCONFIGURED:
+                _at_rest(await self._gate.act("status"))
             return self._hold(goal)
         reached = _DISARMED if goal == FINALIZED else (goal,)
         answer = await self._gate.act(method)
         if _OF_MACHINE.get(answer["state"]) not in reached:
             return False
-        with contextlib.suppress(TimeoutError):
-            async with within(SEEN_WITHIN_S):
-                while self._now() not in (*reached, ERROR):  # noqa: ASYNC110  the view has no event
-                    await asyncio.sleep(_SEEN_EVERY_S)
+        await self._view_shows(*reached, ERROR)
         if self._now() == ERROR:
             return False
+        if method == "disarm":
+            _at_rest(answer)
         if goal == FINALIZED:
             self._held = FINALIZED
         return True
@@ -170,6 +202,13 @@ class Lifecycle:
                 self._events.publish(_event(self._sent, CONFIGURING, _CONFIGURE))
                 self._sent = CONFIGURING
         return self._now() == goal
+
+
+def _at_rest(answer: Mapping[str, Any]) -> None:
+    """Raise NotTaken if it is unknown in an answer of the daemon whether the robot rests."""
+    found, text = stop_answer("disarm", answer)
+    if not found:
+        raise NotTaken(text)
 
 
 def _between(before: tuple[int, str], now: tuple[int, str]) -> tuple[int, str]:

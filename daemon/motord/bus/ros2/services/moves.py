@@ -14,6 +14,7 @@ from motord.api.motion import End, Goal, Motion, MotionStep, Plan
 from motord.api.snapshot import Snapshot
 from motord.api.state_page import NoPage, StatePage
 from motord.bus.commands.mover import Mover, NotNow
+from motord.bus.commands.senders import Sender
 from motord.bus.messages.calibration import Calibration, Found, Measure, measure
 from motord.bus.ros2.nodes import Node
 from motord.bus.ros2.services.actions import ActionServer, Refused, Report, Status, Turn, Work
@@ -38,16 +39,24 @@ class Moves:
     """The actions of one input. Actions that move the robot take turns; calibrate only reads and
     does not block them."""
 
-    def __init__(self, runtime: Runtime, mover: Mover) -> None:
+    def __init__(self, runtime: Runtime, mover: Mover, goal_lease_s: float | None) -> None:
+        """`goal_lease_s`: see `ActionServer`, for the actions that move the robot."""
         self._runtime = runtime
         self._mover = mover
         moving, watching = Turn(), Turn()
         package = "motord_msgs/action"
         self._servers = (
             ActionServer(
-                "drive_distance", f"{package}/DriveDistance", self._drive, _DISTANCE_NOTHING, moving
+                "drive_distance",
+                f"{package}/DriveDistance",
+                self._drive,
+                _DISTANCE_NOTHING,
+                moving,
+                goal_lease_s,
             ),
-            ActionServer("rotate", f"{package}/Rotate", self._rotate, _ANGLE_NOTHING, moving),
+            ActionServer(
+                "rotate", f"{package}/Rotate", self._rotate, _ANGLE_NOTHING, moving, goal_lease_s
+            ),
             ActionServer(
                 "calibrate", f"{package}/Calibrate", self._calibrate, _CALIBRATE_NOTHING, watching
             ),
@@ -57,6 +66,11 @@ class Moves:
         """Offer the actions on a node. Raises DdsError."""
         for server in self._servers:
             server.serve(node)
+
+    def alive(self, message: SimpleNamespace, _: float, __: Sender) -> None:
+        """Take the id of a goal whose client lives."""
+        for server in self._servers:
+            server.alive(bytes(message.uuid))
 
     def runs(self) -> tuple[Callable[[], Coroutine[None, None, None]], ...]:
         """Return the functions to run, each in a task of its own until cancelled."""

@@ -28,6 +28,7 @@ from motord.bus.ros2.dds.discovered import client_of
 from motord.bus.ros2.dds.participant import Participant
 from motord.bus.ros2.quality import Answer, Quality
 from motord.bus.ros2.senders import asker
+from motord_hal.base.tasks import TaskGroup
 
 WAITING_MAX = 32
 """Largest number of requests that wait; more are not answered."""
@@ -94,7 +95,7 @@ class Service:
 
     async def run(self) -> None:
         """Answer until cancelled."""
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             for _ in range(self._together):
                 tasks.create_task(self._serve())
 

@@ -16,6 +16,7 @@ import zenoh.ext
 
 from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.delay import Delays
+from motord.bus.commands.senders import Sender
 from motord.bus.inbox import Inbox
 from motord.bus.messages.cdr import decode, encode
 from motord.bus.ros2.dds.other_types import type_conflict
@@ -32,6 +33,7 @@ from motord.bus.ros2.zenoh.names import (
     quality_text,
     type_of,
 )
+from motord_hal.base.tasks import TaskGroup
 
 WAITING_MAX = 32
 """Largest number of requests that wait; more are refused."""
@@ -165,9 +167,9 @@ class Subscription:
         try:
             sent = Attachment.decode(attachment)
         except ValueError:  # ROS 2 did not send it; it is taken all the same
-            self._hand_over(message, 0.0, "a program that is no ROS 2 node")
+            self._hand_over(message, 0.0, Sender("a program that is no ROS 2 node"))
             return
-        sender = self._names.get(sent.gid) or unnamed(sent.gid)
+        sender = Sender(self._names.get(sent.gid) or unnamed(sent.gid), sent.gid)
         self._hand_over(message, self._delays.waited_s(sent.gid, sent.stamp_ns), sender)
 
 
@@ -200,7 +202,7 @@ class Service:
 
     async def run(self) -> None:
         """Answer until cancelled."""
-        async with asyncio.TaskGroup() as tasks:
+        async with TaskGroup() as tasks:
             for _ in range(self._together):
                 tasks.create_task(self._serve_all())
 

@@ -18,6 +18,7 @@ from motord.bus.ros2.names import remapped
 from motord.bus.ros2.quality import Answer, Distribution, Quality, Take
 from motord.bus.ros2.zenoh.endpoints import Endpoint, Publisher, Service, Subscription
 from motord.bus.ros2.zenoh.names import NodeNames
+from motord_hal.base.tasks import TaskGroup
 
 ROUTER = "tcp/127.0.0.1:7447"
 """Default address of the router of ROS 2."""
@@ -133,7 +134,7 @@ class ZenohNode:
         async with self._running:
             self._ending = False
             try:
-                async with asyncio.TaskGroup() as tasks:
+                async with TaskGroup() as tasks:
                     for service in self._services:
                         tasks.create_task(service.run())
                     tasks.create_task(self._keep())

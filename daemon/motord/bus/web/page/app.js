@@ -3,12 +3,12 @@
 
 import { html, render, useEffect, useState } from "./vendor/htm-preact.js";
 import { TEXT } from "./text.js";
-import { ESTOP_WITHIN_MS, Link } from "./link.js";
+import { Link } from "./link.js";
 import { History } from "./history.js";
 import { Pilot } from "./pilot.js";
 import { useLink } from "./parts/parts.js";
 import { Trail } from "./parts/base_view.js";
-import { battery, commander, Overview } from "./tabs/overview.js";
+import { battery, commander, Overview, restProblem } from "./tabs/overview.js";
 
 const RATE_HZ = 20;
 const PLOT_RATE_HZ = 50;
@@ -61,15 +61,12 @@ function Page({ tab }) {
 
 let estopProblem = "";
 
-async function estop() {
+function estop() {
   pilot.end("");
-  try {
-    await link.call("estop", {}, ESTOP_WITHIN_MS);
-    estopProblem = "";
-  } catch (error) {
-    estopProblem = TEXT.failed(TEXT.estop, error.message);
-  }
-  link.version += 1;
+  link.estop((why) => {
+    estopProblem = why && TEXT.estopDoubt(why);
+    link.version += 1;
+  });
 }
 
 function typesText(target) {
@@ -125,7 +122,7 @@ function Token() {
 
 function Banner({ askToken }) {
   if (link.phase === "lost") return html`<p class="banner bad" role="alert">${TEXT.lostText}</p>`;
-  if (link.phase === "open" && link.stale) {
+  if (link.phase === "open" && link.stale && link.newest) {
     return html`<p class="banner bad" role="alert">${TEXT.staleText}</p>`;
   }
   const running = link.status?.commissioning;
@@ -152,7 +149,7 @@ function skip(event) {
 }
 
 function Header({ tab }) {
-  const state = link.stale ? "unknown" : link.now?.state ?? "unknown";
+  const state = link.now?.state ?? "unknown";
   const phase = connection();
   const name = link.hello?.robot ?? "motord";
   useEffect(() => { document.title = TEXT.title(name, TEXT.states[state]); }, [name, state]);
@@ -172,13 +169,20 @@ function Header({ tab }) {
   </header>`;
 }
 
+/** A click of a key or of a reading program has no pointer. A finger gets no click while another
+ *  one is on the pad, so the button acts as soon as it is touched. */
+function byKey(event) {
+  if (!event.pointerType) estop();
+}
+
 function Estop() {
-  const allowed = link.mayCommand;
+  const allowed = link.mayEstop;
   return html`<div class="estop-place">
-    <p class="problem" role="alert">${estopProblem}</p>
-    <button class="estop" disabled=${!allowed} title=${TEXT.estopHelp} onClick=${estop}>
-      ${allowed ? TEXT.estop : link.phase === "open" ? TEXT.estopNoToken : TEXT.estopLost}
-      ${allowed && html`<small>${TEXT.estopKey}</small>`}</button>
+    <p class="problem" role="alert">${estopProblem || restProblem(link)}</p>
+    <button class="estop" disabled=${!allowed} title=${TEXT.estopHelp}
+      onPointerDown=${estop} onClick=${byKey}>
+      ${allowed ? TEXT.estop : TEXT.estopNoToken}
+      ${allowed && html`<small>${link.stale ? TEXT.estopUnsure : TEXT.estopKey}</small>`}</button>
   </div>`;
 }
 

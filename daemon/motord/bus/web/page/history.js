@@ -3,13 +3,16 @@
 
 const JOINT = {
   velocity: "velocity_rad_s", setpoint: "setpoint_rad_s", position: "position_rad",
-  current: "current_a", voltage: "voltage_v", temperature: "temperature_c",
+  current: "current_a", voltage: "voltage_v", temperature: "temperature_c", age: "feedback_age_s",
 };
+const MEASURED = ["velocity", "position", "current", "voltage", "temperature"];
+const MEASURED_BASE = ["linear_m_s", "lateral_m_s", "angular_rad_s"];
 const BASE = [
   "linear_m_s", "lateral_m_s", "angular_rad_s",
   "setpoint_linear_m_s", "setpoint_lateral_m_s", "setpoint_angular_rad_s",
 ];
 export const SECONDS = 60;
+const OLD_S = 0.5;  // what was measured before this, and a time without states, is a gap
 
 class Ring {
   constructor(names, size) {
@@ -67,9 +70,14 @@ export class History {
 
   _add(now) {
     if (!this.fast || now.stamp_s <= this.fast.newest) return;
+    const { newest } = this.fast;
+    if (newest && now.stamp_s - newest > OLD_S) this.fast.add(newest + OLD_S, () => NaN);
+    const old = now.joints.map((joint) => !(joint.feedback_age_s <= OLD_S));
+    const waits = now.joints.some((joint, place) => !joint.stale && old[place]);
     this.fast.add(now.stamp_s, (name) => {
       const [key, place] = name.split(".");
-      return place === undefined ? now[key] : now.joints[place]?.[JOINT[key]];
+      if (place === undefined) return waits && MEASURED_BASE.includes(key) ? NaN : now[key];
+      return old[place] && MEASURED.includes(key) ? NaN : now.joints[place]?.[JOINT[key]];
     });
   }
 
@@ -77,7 +85,7 @@ export class History {
     const lines = Object.keys(status.lines);
     const names = lines.flatMap((line) => [`p50 ${line}`, `p99 ${line}`, `errors ${line}`]);
     if (!this.slow) this.slow = new Ring(names, 600);
-    const time = this.link.now?.stamp_s ?? 0;
+    const time = this.link.newest?.stamp_s ?? 0;
     if (time <= this.slow.newest) return;
     this.slow.add(time, (name) => {
       const [what, ...rest] = name.split(" ");

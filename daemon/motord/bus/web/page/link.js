@@ -9,9 +9,13 @@ const AGAIN_MIN_MS = 300;
 const AGAIN_MAX_MS = 5000;
 const CALL_WITHIN_MS = 15000;
 const EVENTS_MAX = 1000;
-export const ESTOP_WITHIN_MS = 3000;  // it is latched within milliseconds
-export const STALE_MS = 1500;
-export const SILENT_MS = 300;
+const ESTOP_WITHIN_MS = 1000;  // it is latched within milliseconds
+const ESTOP_AGAIN_MS = 200;
+const ESTOP_FOR_MS = 30000;
+const STALE_MS = 1000;          // SEEN_MAX_S of seat.py
+const STALE_FRAMES = 2.5;       // of a slow rate, so many missing frames
+const STATUS_STALE_MS = 5000;
+const SILENT_MS = 300;
 
 const SIZES = { B: 1, I: 4, f: 4, d: 8 };
 const READERS = {
@@ -49,12 +53,31 @@ export function decoder(layout) {
       return found;
     });
     now.state = layout.states[now.state] ?? "unknown";
+    now.rest = layout.rests[now.rest] ?? "unknown";
     layout.flags.forEach((name, bit) => { now[name] = Boolean((now.flags >> bit) & 1); });
     now.reasons = words(now.reasons, layout.reasons);
     now.faults = words(now.faults, layout.faults);
     return now;
   };
 }
+
+/** Returns a record of the same form in which nothing is known. */
+function unknown(record) {
+  const blank = (value) => {
+    if (typeof value === "number") return NaN;
+    if (typeof value === "string") return "unknown";
+    if (!Array.isArray(value)) return null;
+    return value.filter((one) => typeof one === "object").map(unknown);
+  };
+  return Object.fromEntries(Object.entries(record).map(([key, value]) => [key, blank(value)]));
+}
+
+function unknownState(state) {
+  const blank = unknown(state);
+  return { ...blank, joints: blank.joints.map((joint) => ({ ...joint, stale: 1 })) };
+}
+
+const pause = (ms) => new Promise((resolve) => { setTimeout(resolve, ms); });
 
 function base64url(text) {
   const bytes = new TextEncoder().encode(text);
@@ -84,8 +107,10 @@ export class Link {
   constructor(address, rateHz) {
     this.address = address;
     this.rateHz = rateHz;
-    this.status = null;       // of the daemon, about once a second
-    this.now = null;          // the newest state
+    this._status = null;
+    this._statusAt = -Infinity;
+    this.newest = null;       // the newest state, however old: for its stamp, never to be shown
+    this._unknown = null;
     this.hello = null;
     this.phase = "connecting"; // connecting, open, refused, lost
     this.why = "";
@@ -94,7 +119,8 @@ export class Link {
     this.missed = 0;          // frames that the robot did not send, to keep up
     this.roundTripMs = null;
     this.notDriven = "";
-    this.frameAt = -Infinity;
+    this._frameAt = -Infinity;
+    this._estop = 0;          // number of the newest emergency stop
     this._token = stored(`motord.token.${address}`);
     this._calls = new Map();
     this._number = 0;
@@ -127,9 +153,49 @@ export class Link {
     else this._socket?.close();
   }
 
-  get mayCommand() { return this.phase === "open" && Boolean(this.hello?.may_command); }
-  get stale() { return performance.now() - this.frameAt > STALE_MS; }
-  get silent() { return performance.now() - this.frameAt > SILENT_MS; }
+  /** Whether what the robot does is unknown. All that shows or changes a state asks `now`, `status`
+   *  and `mayCommand`, which ask this. */
+  get stale() {
+    const rateHz = Math.min(this.rateHz, this.hello?.rate_max_hz ?? this.rateHz);
+    const staleMs = Math.max(STALE_MS, (STALE_FRAMES * 1000) / rateHz);
+    return this.phase !== "open" || this._ageMs > staleMs;
+  }
+
+  get silent() { return this._ageMs > SILENT_MS; }
+
+  get _ageMs() { return performance.now() - this._frameAt; }
+
+  /** The age in whole seconds of the newest state, once that is stale; 0: it is not stale. */
+  get staleS() { return this.stale ? Math.ceil(this._ageMs / 1000) : 0; }
+
+  /** The state: when it is stale, one in which nothing is known. null: there was none yet. */
+  get now() {
+    if (!this.stale || !this.newest) return this.newest;
+    return (this._unknown ??= unknownState(this.newest));
+  }
+
+  /** The daemon's status, about once a second; null: not known. */
+  get status() {
+    const old = performance.now() - this._statusAt > STATUS_STALE_MS;
+    return this.stale || old ? null : this._status;
+  }
+
+  /** The speed limits in force by their keys; null: not known. One without a limit is as in the
+   *  robot file. */
+  get limits() {
+    const known = this.status?.parameters;
+    if (!known || !this.hello) return null;
+    return Object.fromEntries(Object.entries(this.hello.limits).map(([key, own]) =>
+      [key, known[`limits.${key}`] ?? own]));
+  }
+
+  /** Whether this page is permitted to command the robot. */
+  get permitted() { return this.phase === "open" && Boolean(this.hello?.may_command); }
+
+  /** Whether it may do so now. An emergency stop does not ask this. */
+  get mayCommand() { return this.permitted && !this.stale; }
+
+  get mayEstop() { return this.phase !== "refused" && (this.hello?.may_command ?? true); }
 
   setRate(rateHz) {
     this.rateHz = rateHz;
@@ -171,8 +237,9 @@ export class Link {
   _takeFrame(data) {
     if (!this._decode) return;
     const now = this._decode(data);
-    this.now = now;
-    this.frameAt = performance.now();
+    this.newest = now;
+    this._unknown = null;
+    this._frameAt = performance.now();
     this.version += 1;
     this._send(numbered(ACKNOWLEDGE, now.sequence));
     this._publish("frame", now);
@@ -182,10 +249,12 @@ export class Link {
     this.version += 1;
     if (message.hello) this._open(message.hello);
     else if (message.status) {
-      this.status = message.status;
+      this._status = message.status;
+      this._statusAt = performance.now();
       this._publish("status", message.status);
     } else if ("dropped" in message) this.missed = message.dropped;
     else if (message.event) this._addEvents([message.event]);
+    else if (message.parameters) this._note(message.parameters);
     else if (message.recordings) this._publish("recordings", message.recordings);
     else if (message.trace) this._publish("trace", message.trace);
     else if (message.commissioning) this._commissioned(message.commissioning);
@@ -219,6 +288,11 @@ export class Link {
     if (record.question || record.end) this.progress = "";
   }
 
+  /** Notes parameters that a page has set, before a status has them. */
+  _note(parameters) {
+    if (this._status) Object.assign(this._status.parameters, parameters);
+  }
+
   _addEvents(events) {
     this.events = [...this.events, ...events].slice(-EVENTS_MAX);
   }
@@ -243,11 +317,30 @@ export class Link {
     });
   }
 
-  _answered({ answer, result, error }) {
+  _answered({ answer, result, error, needs_force: needsForce = false }) {
     const call = this._calls.get(answer);
     this._calls.delete(answer);
     if (error === undefined) call?.resolve(result);
-    else call?.reject(new Error(error));
+    else call?.reject(Object.assign(new Error(error), { answered: true, needsForce }));
+  }
+
+  /** Requests an emergency stop, again until the robot answers or ESTOP_FOR_MS have passed.
+   *  `report` gets why it is not confirmed yet, and nothing once it is. */
+  async estop(report) {
+    const press = (this._estop += 1);
+    const untilMs = performance.now() + ESTOP_FOR_MS;
+    if (this.stale) report("no state comes from the robot");
+    for (;;) {
+      try {
+        await this.call("estop", {}, ESTOP_WITHIN_MS);
+        return report("");
+      } catch (error) {
+        if (press !== this._estop) return undefined;
+        report(error.message);
+        if (error.answered || performance.now() > untilMs) return undefined;
+      }
+      await pause(ESTOP_AGAIN_MS);
+    }
   }
 
   /** Sends one command of the hold `press`. */
@@ -255,7 +348,8 @@ export class Link {
     const view = new DataView(new ArrayBuffer(45));
     view.setUint8(0, DRIVE);
     view.setUint32(1, press, true);
-    [performance.now(), this.now?.stamp_s ?? 0, linear, lateral, angular].forEach((value, place) =>
+    const seenS = this.newest?.stamp_s ?? 0;
+    [performance.now(), seenS, linear, lateral, angular].forEach((value, place) =>
       view.setFloat64(5 + 8 * place, value, true));
     this._send(view.buffer);
   }
@@ -265,7 +359,7 @@ export class Link {
     const view = new DataView(new ArrayBuffer(17));
     view.setUint8(0, PRESENT);
     view.setFloat64(1, performance.now(), true);
-    view.setFloat64(9, this.now?.stamp_s ?? 0, true);
+    view.setFloat64(9, this.newest?.stamp_s ?? 0, true);
     this._send(view.buffer);
   }
 

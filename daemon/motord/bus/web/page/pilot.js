@@ -29,7 +29,7 @@ export class Pilot {
 
   /** The command in metres and radians a second. */
   get wanted() {
-    const limits = this.link.hello?.limits;
+    const limits = this.link.limits;
     const part = (key, unit) => (limits ? this.share[key] * this.limiter * limits[unit] : 0);
     return {
       linear: part("linear", "linear_m_s"),
@@ -50,6 +50,12 @@ export class Pilot {
       this._timer = setInterval(() => this._send(), EVERY_MS);
     }
     this._send();
+  }
+
+  /** Notes why a press begins no hold. */
+  refuse(why) {
+    this.released = why;
+    this.link.version += 1;
   }
 
   /** Ends the hold, if it is that of `holder`. */

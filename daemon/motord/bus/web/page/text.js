@@ -18,8 +18,15 @@ export const TEXT = {
     + "Choose it again, or reload the page.",
   lost: "Connection lost",
   stale: "No state",
-  lostText: "This page has no connection to the robot. It tries again. What is shown below is old.",
-  staleText: "The robot's computer answers, but the daemon sends no state: it ended or starts.",
+  lostText: "No connection to the robot. This page tries again. The robot may be moving, and "
+    + "E-STOP may not arrive: use the switch on the robot.",
+  staleText: "No state comes from the robot. It may be moving, and E-STOP may not arrive: use the "
+    + "switch on the robot.",
+  noState: "No state comes from the robot.",
+  lastState: (state, s) => (Number.isFinite(s) ? `Last state, ${s} s ago: ${state}` : ""),
+  notKnown: "not known",
+  notKnownSince: (s) => (Number.isFinite(s) ? `not known since ${s.toFixed(1)} s`
+    : "not known yet"),
   refusedTitle: "Token needed",
   tokenLabel: "Token of this robot",
   tokenHelp: "It is in the file that token_file names in the robot file.",
@@ -34,7 +41,8 @@ export const TEXT = {
   estopKey: "space bar",
   estopHelp: "Emergency stop: all wheels come to rest and lose power. Key: space bar",
   estopNoToken: "E-stop: needs the token",
-  estopLost: "E-stop: no connection",
+  estopUnsure: "may not arrive",
+  estopDoubt: (why) => `E-STOP: ${why}. It may not have arrived: use the switch on the robot.`,
   arm: "Arm", disarm: "Disarm", stop: "Stop", reset: "Reset", resetOdometry: "Set pose to zero",
   failed: (what, why) => `${what}: ${why}`,
 
@@ -52,10 +60,14 @@ export const TEXT = {
     stopping: "It comes to rest.",
     fault: "Remove the cause, then reset and arm.",
     estop: "When it is safe, reset and arm.",
-    unknown: "",
+    unknown: "No state comes from the robot. It may be moving: keep away from it.",
   },
+  restUnknown: (joints) => `motord cannot see whether ${joints.join(" and ") || "a wheel"} `
+    + `${joints.length > 1 ? "turn" : "turns"}: keep away, cut the power`,
   because: "Because",
   limited: "Limited by",
+  held: (names) => `Held: ${names}. It requested motion when the robot could not move, and moves `
+    + "nothing until it sends zero or is started anew. While armed, Arm lets it go on.",
   reasons: {
     linear_velocity: "speed limit", linear_acceleration: "acceleration limit",
     linear_deceleration: "deceleration limit", linear_jerk: "jerk limit",
@@ -83,14 +95,15 @@ export const TEXT = {
   temperature: "Temperature", position: "Position", age: "Feedback age", duty: "Duty",
 
   noBase: "This robot has no base to drive. `motord joints` moves its joints.",
-  pad: "Drive pad: hold it and move; release it to stop",
-  padHint: "Hold and drag",
+  pad: "Drive pad: press its middle and move; release it to stop",
+  padHint: "Press the middle, then drag",
   strafe: "Move sideways instead of turning",
   limiter: "Speed limit of this page",
   keys: "Keys: W A S D or arrows drive while they are held, Q and E move sideways",
   gamepad: "Gamepad",
   gamepadNone: "none: connect one and press a button",
-  gamepadHint: "Hold the left shoulder button (dead-man) and use the left stick.",
+  gamepadHint: "Hold the left shoulder button (dead-man) with the left stick in its middle, "
+    + "then move the stick.",
   deadMan: "The robot stops when you release, when this page loses the focus or is hidden, "
     + "and when the connection is silent for 0.3 s.",
   armFirst: "Arm the robot first.",
@@ -98,6 +111,8 @@ export const TEXT = {
     blur: "Released: the page lost the focus.",
     hidden: "Released: the page was hidden.",
     lost: "Released: the connection is silent.",
+    outside: "A drive begins in the middle of the pad.",
+    swiped: "Released: rest in the middle of the pad first, then drag.",
     taken: "Released: another key, a menu or a drag could hide your release from this page.",
   },
   requested: "Requested",
@@ -153,6 +168,10 @@ export const TEXT = {
   nothingToSave: (file) => `${file} already has the limits that are in force.`,
   close: "Close", cancel: "Cancel",
   forceNow: "in force",
+  force: "Set it all the same",
+  fromFile: (value) => `robot file: ${value}`,
+  most: (low, high, unit) =>
+    (high === null ? `at least ${low} ${unit}` : `${low} to at most ${high} ${unit}`),
 
   // The robot file in its editor
   fileNeedsToken: "The robot file is shown to pages that have the token.",

@@ -9,14 +9,15 @@ import contextlib
 import json
 import logging
 import os
-import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
 from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
 from motord.api.deadline import within
+from motord.base.python_command import module_command
 from motord.bus.commands.gate import NotTaken
 from motord.bus.messages import json_form
+from motord_hal.base.tasks import TaskGroup
 
 NICENESS = 19
 """Lowest priority: every other process runs first."""
@@ -27,11 +28,11 @@ _log = logging.getLogger(__name__)
 class TaskOwner:
     """Base of objects whose tasks end with them."""
 
-    _tasks: asyncio.TaskGroup | None = None
+    _tasks: TaskGroup | None = None
 
     async def run(self) -> None:
         """Keep the group of the tasks until cancelled."""
-        async with asyncio.TaskGroup() as self._tasks:
+        async with TaskGroup() as self._tasks:
             try:
                 await asyncio.Event().wait()
             finally:
@@ -42,9 +43,8 @@ async def started(what: str, module: str, *arguments: str, **options: Any) -> Pr
     """Start `python -m MODULE ARGUMENTS`, with `options` of create_subprocess_exec. Raises
     NotTaken, which names `what`, if this machine has no process, memory or descriptor left for
     it."""
-    command = (sys.executable, "-m", module, *arguments)
     try:
-        return await asyncio.create_subprocess_exec(*command, **options)
+        return await asyncio.create_subprocess_exec(*module_command(module, *arguments), **options)
     except OSError as error:
         _log.warning("%s cannot be started: %s", what, error)
         raise NotTaken(f"{what} cannot be started: {error.strerror or error}") from error

@@ -26,6 +26,7 @@ from motord.bus.commands.gate import NotTaken, short
 from motord.bus.messages import json_form
 from motord.bus.web.processes.command import started
 from motord.bus.web.seat import SEEN_AHEAD_S, SEEN_MAX_S
+from motord_hal.base.tasks import TaskGroup
 
 if TYPE_CHECKING:
     from motord.bus.web.viewer import Viewer
@@ -188,7 +189,7 @@ class Commissioning:
             self._send(self._request)
             if self._stopped_s is not None:
                 self._send({"stop": "stopped"})
-            async with asyncio.TaskGroup() as tasks:
+            async with TaskGroup() as tasks:
                 watch = tasks.create_task(self._watch(process))
                 await self._follow(process, end)
                 watch.cancel()

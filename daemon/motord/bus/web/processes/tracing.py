@@ -17,6 +17,7 @@ from motord.api.deadline import within
 from motord.bus.commands.gate import NotTaken
 from motord.bus.web.processes.command import TaskOwner, reason, running
 from motord.bus.web.viewer import Viewer
+from motord_hal.base.tasks import TaskGroup
 
 SEND_EVERY_S = 0.2
 END_WITHIN_S = 5.0
@@ -87,7 +88,7 @@ class Traces(TaskOwner):
     async def _run(self, look: _Look) -> str:
         """Run the command, and return why it has ended. Raises NotTaken."""
         async with running("trace", look.line, "--json", *self._place) as child:
-            async with asyncio.TaskGroup() as tasks:
+            async with TaskGroup() as tasks:
                 errors: deque[bytes] = deque(maxlen=1)
                 tasks.create_task(_read(child.stderr, errors.append))
                 sending = tasks.create_task(self._send(look))

@@ -18,6 +18,7 @@ from motord.config.sections.line import (
     HoverboardLine,
     McuLine,
     PortLine,
+    PwmLine,
     SabertoothLine,
     SerialLine,
 )
@@ -37,6 +38,7 @@ from motord_hal.ascii.twist import ANGULAR, LINEAR
 from motord_hal.can.adapters import why_unfit
 from motord_hal.fieldbus.open_line import RT_CAN_INTERFACES
 from motord_hal.sabertooth.codec import UNITS as SABERTOOTH_UNITS
+from motord_hal.serial.sysfs import port_identity
 
 ON_RT_ONLY = (DdsmLine, DynamixelLine, FeetechLine, PortLine)
 """Kinds that are always on a serial port of this machine."""
@@ -45,10 +47,18 @@ WITHOUT_ADDRESS = (McuLine, AsciiLine, HoverboardLine)
 
 def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
     for (one, first), (other, second) in itertools.combinations(robot.line.items(), 2):
-        if first.address == second.address:
-            key = _port_key(second)
-            paths = (("line", other, key), ("line", one, key))
+        if _port(first) == _port(second):
+            paths = (("line", other, _port_key(second)), ("line", one, _port_key(first)))
             yield Finding(paths, f'line "{one}" has this port already')
+
+
+def _port(line: AnyLine) -> str:
+    """Return what the line's port is on this machine: a device has more names than one, and lines
+    of different protocols may name it."""
+    if isinstance(line, GatewayLine | PwmLine):
+        return line.address
+    name = line.channel if isinstance(line, CanLine) else line.port
+    return port_identity(name if name.startswith("/") else line.address)
 
 
 def _port_key(line: AnyLine) -> str:

@@ -16,6 +16,7 @@ from motord.config.wiring import line_specs
 from motord_hal.fieldbus.ports import EdgesEncoder, JointSpec, LineSpec
 from motord_hal.gpio.pinmux import why_no_pull
 from motord_hal.pwm.pins import Place, bridge_of, places_of, servo_range_rad
+from motord_hal.serial.sysfs import port_identity
 
 
 def _pins(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
@@ -97,7 +98,7 @@ def _edges(line: PwmLine, joint: JointSpec, encoder: GpioEncoder) -> Iterator[Fi
 def _boards(robot: Robot, _: Profiles) -> Iterator[Finding]:
     """Check that no line uses the port of a board with encoders, and no two joints the same motor
     of it."""
-    lines = {line.address: name for name, line in robot.line.items()}
+    lines = {port_identity(line.address): name for name, line in robot.line.items()}
     seen: dict[tuple[str, int], str] = {}
     rates: dict[str, tuple[str, int]] = {}
     for name, joint in robot.joint.items():
@@ -105,14 +106,15 @@ def _boards(robot: Robot, _: Profiles) -> Iterator[Finding]:
         if not isinstance(encoder, BoardEncoder):
             continue
         at: Path = ("joint", name, "encoder")
-        if encoder.port in lines:
-            text = f"{encoder.port} is the port of line {lines[encoder.port]}"
-            yield Finding((at, ("line", lines[encoder.port])), text)
-        first = seen.setdefault((encoder.port, encoder.motor), name)
+        port = port_identity(encoder.port)
+        if port in lines:
+            text = f"{encoder.port} is the port of line {lines[port]}"
+            yield Finding((at, ("line", lines[port])), text)
+        first = seen.setdefault((port, encoder.motor), name)
         if first != name:
             text = f"motor {encoder.motor} of that board is counted for joint {first} already"
             yield Finding((at, ("joint", first, "encoder")), text)
-        other, baudrate = rates.setdefault(encoder.port, (name, encoder.baudrate))
+        other, baudrate = rates.setdefault(port, (name, encoder.baudrate))
         if baudrate != encoder.baudrate:
             text = f"baudrate is not that of joint {other} on the same port ({baudrate})"
             yield Finding((at, ("joint", other, "encoder")), text)

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING
 
 from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import Gap
@@ -14,6 +16,9 @@ from motord_hal.modbus.codec import Function, frame_time_s
 from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.servo.packets import KINDS as SERVO_KINDS
+
+if TYPE_CHECKING:
+    from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
 
 _ASK_BYTES = 8 + 7
 """Bytes to read one register: request and reply (MODBUS Application Protocol V1.1b3, 6.3)."""
@@ -107,23 +112,36 @@ def _rate_hz(spec: LineSpec, joints: list[JointSpec]) -> float:
     return max(own_hz, default=spec.cycle_hz)
 
 
+def slowest_cycle_s(spec: LineSpec) -> float:
+    """Return the time of a cycle of a line that waits for replies, if every drive answers at the
+    last moment, with an acyclic exchange of each."""
+    if spec.kind in SERVO_KINDS:
+        longest_s = sum(joints[0].profile.turnaround_s for joints in _units(spec))
+        return 1 / cycle_limit_hz(spec) + longest_s
+    return sum(_plan(spec, joints).slowest_cycle_s() for joints in _units(spec))
+
+
 def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
-    def wire_time_s(size_bytes: int) -> float:
-        return _wire_time_s(spec, size_bytes)
-
     if spec.kind in _STREAMS:
-        return wire_time_s(_stream_bytes(spec, joints)) / WIRE_SHARE_MAX / len(_units(spec))
-    if spec.kind == "ddsm":
-        from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
-
-        return DdsmFrames(joints, line_gap_s(spec), wire_time_s).cycle_time_s()
+        size_bytes = _stream_bytes(spec, joints)
+        return _wire_time_s(spec, size_bytes) / WIRE_SHARE_MAX / len(_units(spec))
     if spec.kind in SERVO_KINDS:
         from motord_hal.rt_engine.rs485.servo_frames import ServoFrames, cycle_of_all_s
 
         units = _units(spec)
+        wire_time_s = partial(_wire_time_s, spec)
         servos = [ServoFrames(unit, line_gap_s(spec), wire_time_s) for unit in units]
         return cycle_of_all_s(servos) / len(units)
-    return DrivePlan(joints, line_gap_s(spec), wire_time_s).cycle_time_s()
+    return _plan(spec, joints).cycle_time_s()
+
+
+def _plan(spec: LineSpec, joints: list[JointSpec]) -> DdsmFrames | DrivePlan:
+    gap_s, wire_time_s = line_gap_s(spec), partial(_wire_time_s, spec)
+    if spec.kind == "ddsm":
+        from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
+
+        return DdsmFrames(joints, gap_s, wire_time_s)
+    return DrivePlan(joints, gap_s, wire_time_s)
 
 
 def _stream_bytes(spec: LineSpec, joints: list[JointSpec]) -> int:

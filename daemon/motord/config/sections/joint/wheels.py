@@ -8,8 +8,9 @@ from collections.abc import Mapping
 
 from motord.config.sections.bases import JointsBase, wheel_row
 from motord.config.sections.joint.speed_loop import DUTY_GAINS, TORQUE_GAINS, CoreGain
+from motord.config.sections.line import AsciiLine
 from motord.config.sections.model import Joint, Robot
-from motord_hal.drives.profile import DriveProfile, Register
+from motord_hal.drives.profile import DriveProfile, Register, RegisterType
 
 Profiles = Mapping[str, DriveProfile]
 """Profiles by the drive's name as the robot file writes it."""
@@ -37,6 +38,23 @@ def measures_speed(joint: Joint, profile: DriveProfile) -> bool:
     return bool(
         counter_bits(joint, profile) or profile.channels[joint.channel].velocity is not None
     )
+
+
+def reports_speed(robot: Robot, name: str, profile: DriveProfile) -> bool:
+    """Return whether the speed of a joint may be reported. A board that sends text reports what its
+    template names, whatever its drives can."""
+    joint = robot.joint[name]
+    line = robot.line[joint.line]
+    if profile.channels[joint.channel].velocity is None:
+        return False
+    if not isinstance(line, AsciiLine):
+        return True
+    return any(f"{{{name}_{unit}" in (line.feedback or "") for unit in ("rad_s", "m_s"))
+
+
+def reports_motion(robot: Robot, name: str, profile: DriveProfile) -> bool:
+    """Return whether something reports that the joint turns: a counter, or its speed."""
+    return counter_bits(robot.joint[name], profile) > 0 or reports_speed(robot, name, profile)
 
 
 def gains_of(joint: Joint, profile: DriveProfile) -> Mapping[str, CoreGain]:
@@ -78,9 +96,12 @@ def drive_can_reverse(joint: Joint, profile: DriveProfile) -> bool:
 
 def drive_velocity_max_rad_s(joint: Joint, profile: DriveProfile) -> float:
     """Return the highest speed that the set-point can request. It is infinite for a torque, for a
-    duty without `full_duty_rad_s`, and for an angle: only `velocity_max_rad_s` limits these."""
+    duty without `full_duty_rad_s`, and for an angle where the profile does not bound the speed of a
+    move: only `velocity_max_rad_s` limits these."""
     setpoint = _setpoint(joint, profile)
-    if takes_torque(joint, profile) or takes_position(joint, profile):
+    if takes_position(joint, profile):
+        return profile.moves_at_rad_s(profile.channels[joint.channel]) / joint.gear_ratio
+    if takes_torque(joint, profile):
         return math.inf
     if takes_duty(joint, profile):
         return math.inf if joint.full_duty_rad_s is None else joint.full_duty_rad_s * joint.duty_max
@@ -122,6 +143,15 @@ def counter_bits(joint: Joint, profile: DriveProfile) -> int:
     if joint.encoder is not None:
         return 64
     return profile.counter_bits if counts_per_turn(joint, profile) else 0
+
+
+def counter_mantissa_bits(joint: Joint, profile: DriveProfile) -> int:
+    """Return the bits of the floating-point number that the drive's counter is made of: its steps
+    grow with it. 0: it has steps of one count."""
+    position = profile.channels[joint.channel].position
+    if joint.encoder is not None or position is None:
+        return 0
+    return 24 if profile.registers[position].type is RegisterType.F32 else 0
 
 
 def rad_per_count(joint: Joint, profile: DriveProfile) -> float:

@@ -269,6 +269,7 @@ export function BaseView({ link, trail }) {
       document.removeEventListener("motord-theme", soon);
     };
   }, [link, trail]);
+  useEffect(() => { painter.current.draw(link.hello, link.now, trail); }, [link.stale]);
   const zoom = (factor) => {
     painter.current.zoom = Math.min(8, Math.max(0.1, painter.current.zoom * factor));
     render(painter.current.zoom);

@@ -24,8 +24,9 @@ export function useGamepad(pilot, lateral) {
       const pad = found ? `${found.index} ${found.id}` : null;
       const held = Boolean(found?.buttons[DEAD_MAN_BUTTON]?.pressed);
       const goesOn = held && pilot.holder === "gamepad" && pad === holding;
-      const begins = held && pilot.holder === null && pad === ready && document.hasFocus();
-      ready = held ? null : pad;
+      const mayBegin = held && pilot.holder === null && pad === ready && document.hasFocus();
+      const begins = mayBegin && found.axes.slice(0, 3).every((axis) => zone(axis) === 0);
+      ready = held && (begins || !mayBegin) ? null : pad;
       if (!goesOn && !begins) {
         pilot.letGo("gamepad");
         return;

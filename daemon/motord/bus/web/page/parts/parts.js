@@ -8,9 +8,9 @@ import { SYMBOLS, TEXT } from "../text.js";
 export function useLink(link, everyMs = 200) {
   const [, render] = useState(0);
   useEffect(() => {
-    let shown = -1;
+    let shown = "";
     const timer = setInterval(() => {
-      const version = link.version + (link.stale ? 0.5 : 0);
+      const version = `${link.version} ${link.staleS}`;
       if (version !== shown) render((shown = version));
     }, everyMs);
     return () => clearInterval(timer);
@@ -38,7 +38,8 @@ export function Rows({ rows }) {
   </dl>`;
 }
 
-/** Returns a function that calls the robot, and the reason why a call failed. */
+/** Returns a function that calls the robot, the reason why a call failed, and a function that sets
+ *  that reason. */
 export function useCall(link) {
   const [problem, say] = useState("");
   const call = async (method, title, params, withinMs) => {
@@ -51,7 +52,7 @@ export function useCall(link) {
       return undefined;
     }
   };
-  return [call, html`<p class="problem" role="alert">${problem}</p>`];
+  return [call, html`<p class="problem" role="alert">${problem}</p>`, say];
 }
 
 /** Buttons to arm, disarm, stop and reset; those that the state allows are prominent. */

@@ -8,6 +8,7 @@ import { Picture } from "../parts/chart.js";
 import { plotsOf, TimePlot } from "./plots.js";
 
 const PRESENT_EVERY_MS = 100;
+const STOP_WITHIN_MS = 1000;
 const PLOT_S = 15;
 const NO_STOP = ["Tab", "Shift", "Control", "Alt", "Meta", " "];  // the space bar is the e-stop
 
@@ -166,12 +167,16 @@ function Running({ link, history, record }) {
   const [call, problem] = useCall(link);
   const { question, yours, page } = record;
   const title = TEXT.procedures[record.procedure]?.title ?? record.procedure;
+  const stop = () => call("commission.stop", TEXT.stopProcedure, {}, STOP_WITHIN_MS);
   const answer = (value) =>
     call("commission.answer", TEXT.sendAnswer, { number: question.number, value });
   return html`<div class="grid commission">
     <div class="column">
       <${Card} title=${title} className=${question ? "" : "moves"}
           extra=${html`<span class="muted">${page}</span>`}>
+        <button class="halt" onClick=${stop}>
+          ${TEXT.stopProcedure}
+          ${!question && html`<small>${TEXT.stopKey}</small>`}</button>
         ${!page && html`<p class="why">${TEXT.abandoned}</p>
           <div class="actions">
             <button class="main" onClick=${() => call("commission.take", title)}>
@@ -180,10 +185,8 @@ function Running({ link, history, record }) {
         ${question
           ? html`<${Question} key=${question.number} question=${question} yours=${yours}
               answer=${answer} problem=${problem} />`
-          : html`<p class="asks" role="status">${link.progress || TEXT.preparing}</p>${problem}`}
-        <button class="halt" onClick=${() => call("commission.stop", TEXT.stopProcedure)}>
-          ${TEXT.stopProcedure}
-          ${!question && html`<small>${TEXT.stopKey}</small>`}</button>
+          : html`<p class="asks" role="status">
+              ${link.stale ? TEXT.next.unknown : link.progress || TEXT.preparing}</p>${problem}`}
       <//>
     </div>
     <div class="column">
@@ -218,7 +221,7 @@ export function Commission({ link, history }) {
   const [chosen, choose] = useState("spin");
   const [closed, close] = useState(null);
   const record = link.commissioning;
-  if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
+  if (!link.hello || !link.now) return html`<p class="muted">${TEXT.noState}</p>`;
   if (!link.hello.may_command) {
     return html`<${Card} title=${TEXT.tabs.commission}><p>${TEXT.commissionNeedsToken}</p><//>`;
   }

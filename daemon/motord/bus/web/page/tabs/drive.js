@@ -16,6 +16,9 @@ const KEYS = {
   KeyQ: ["lateral", 1], KeyE: ["lateral", -1],
 };
 const REST = { linear: 0, lateral: 0, angular: 0 };
+const MIDDLE = 0.25;  // radius of the part of the pad where a hold begins, which requests rest
+const REST_MS = 150;  // a finger that leaves the middle sooner swipes, as one that scrolls does
+const PAD_MIDDLE = { inset: `${50 - 50 * MIDDLE}%` };
 
 const clipped = (value) => Math.min(1, Math.max(-1, value));
 const typing = (target) => target.matches?.("input:not([type=range]), select, textarea");
@@ -66,57 +69,83 @@ function useKeys(pilot) {
   }, [pilot]);
 }
 
+/** Returns how far a point is from the middle of the pad, in parts of its radius. */
+function offset(box, event) {
+  const radius = box.width / 2;
+  return [(event.clientX - box.left) / radius - 1, (event.clientY - box.top) / radius - 1];
+}
+
+/** Returns the parts of the limits that a point requests: nothing in the middle, and from its edge
+ *  on more, up to everything at the rim. */
+function shareOf([x, y], sideways) {
+  const length = Math.hypot(x, y);
+  const part = Math.min(1, Math.max(0, (length - MIDDLE) / (1 - MIDDLE)));
+  const [ahead, left] = part ? [-y * part / length, -x * part / length] : [0, 0];
+  return { linear: ahead, angular: sideways ? 0 : left, lateral: sideways ? left : 0 };
+}
+
 function Pad({ pilot, sideways }) {
   const pad = useRef(null);
-  const pointer = useRef(null);  // the pointer that touched the pad last
-  const share = (event) => {
-    const box = pad.current.getBoundingClientRect();
-    const radius = box.width / 2;
-    let x = (event.clientX - box.left - radius) / radius;
-    let y = (event.clientY - box.top - radius) / radius;
-    const length = Math.hypot(x, y);
-    if (length > 1) [x, y] = [x / length, y / length];
-    return { linear: -y, angular: sideways ? 0 : -x, lateral: sideways ? -x : 0 };
-  };
+  const press = useRef(null);  // the pointer that holds the pad, and the pad's box at its press
   const down = (event) => {
-    if (event.button !== 0) return;
-    pad.current.setPointerCapture(event.pointerId);
-    pointer.current = event.pointerId;
-    pilot.hold("pad", share(event));
+    if (event.button !== 0 || pilot.held) return;  // another finger commands nothing
+    const box = pad.current.getBoundingClientRect();
+    if (Math.hypot(...offset(box, event)) > MIDDLE) {
+      pilot.refuse("outside");
+      return;
+    }
+    const { pointerId: id, timeStamp: atMs, pointerType } = event;
+    press.current = { id, box, atMs, rested: pointerType === "mouse" };
+    pad.current.setPointerCapture(id);
+    pilot.hold("pad", REST);
     event.preventDefault();
   };
   const move = (event) => {
-    if (pilot.holder !== "pad" || event.pointerId !== pointer.current) return;
-    if (event.buttons === 1) pilot.hold("pad", share(event));
-    else pilot.end("taken");  // the release was lost, or another button may open a menu
+    const held = press.current;
+    if (pilot.holder !== "pad" || event.pointerId !== held?.id) return;
+    if (event.buttons !== 1) {
+      pilot.end("taken");  // the release was lost, or another button may open a menu
+      return;
+    }
+    const share = shareOf(offset(held.box, event), sideways);
+    held.rested ||= event.timeStamp - held.atMs >= REST_MS;
+    if (held.rested) pilot.hold("pad", share);
+    else if (share.linear || share.angular || share.lateral) pilot.end("swiped");
   };
-  const up = () => pilot.letGo("pad");
+  const up = (event) => {
+    if (event.pointerId === press.current?.id) pilot.letGo("pad");
+  };
   useEffect(() => {
     // Not as onLostPointerCapture: Preact removes the "Capture", and never calls the listener.
     pad.current.addEventListener("lostpointercapture", up);
-    return up;
+    return () => pilot.letGo("pad");
   }, [pilot]);
   const { linear, angular, lateral } = pilot.share;
-  const [x, y] = [100 - 78 * (sideways ? lateral : angular), 100 - 78 * linear];
+  const left = sideways ? lateral : angular;
+  const length = Math.hypot(left, linear);
+  const reach = length ? 78 * (MIDDLE + (1 - MIDDLE) * length) / length : 0;
+  const [x, y] = [100 - reach * left, 100 - reach * linear];
   return html`<div class="pad ${pilot.held ? "held" : ""}" ref=${pad} role="img"
       aria-label=${TEXT.pad}
       onPointerDown=${down} onPointerMove=${move} onPointerUp=${up} onPointerCancel=${up}
       onContextMenu=${(event) => event.preventDefault()}>
     <svg viewBox="0 0 200 200" aria-hidden="true">
       <circle class="rim" cx="100" cy="100" r="97" />
-      <circle class="ring" cx="100" cy="100" r="48" />
+      <circle class="middle" cx="100" cy="100" r=${100 * MIDDLE} />
       <path class="ring" d="M100 12v176M12 100h176" />
       <path class="mark"
         d="M100 10l7 11h-14zM100 190l7-11h-14zM10 100l11 7v-14zM190 100l-11 7v-14z" />
       <line class="stalk" x1="100" y1="100" x2=${x} y2=${y} />
       <circle class="knob" cx=${x} cy=${y} r="22" />
     </svg>
+    <i class="pad-middle" style=${PAD_MIDDLE}></i>
     ${!pilot.held && html`<span class="pad-hint">${TEXT.padHint}</span>`}
   </div>`;
 }
 
 /** Returns the notice for the user of the pad. */
 function noticeOf(link, pilot) {
+  if (link.stale) return TEXT.noState;
   if (!link.mayCommand) return TEXT.watching;
   const powered = ["armed", "moving", "stopping"].includes(link.now.state);
   if (pilot.held) return powered ? TEXT.driving : TEXT.armFirst;
@@ -129,14 +158,14 @@ export function Drive({ link, pilot, trail }) {
   const lateral = (link.hello?.limits.lateral_m_s ?? 0) > 0;
   useKeys(pilot);
   const gamepad = useGamepad(pilot, lateral);
-  if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
+  if (!link.hello || !link.now) return html`<p class="muted">${TEXT.noState}</p>`;
   if (!link.hello.wheels.length) {
     return html`<div class="column"><${StateCard} link=${link} />
       <${Card}><p>${TEXT.noBase}</p><//></div>`;
   }
   const { now } = link;
   const wanted = pilot.wanted;
-  const limits = link.hello.limits;
+  const limits = link.limits;
   const twist = (linear, angular) =>
     `${measure(linear, 2, "m_s")}, ${measure(angular, 2, "rad_s")}`;
   const limit = (event) => {
@@ -153,7 +182,7 @@ export function Drive({ link, pilot, trail }) {
         <input type="range" min="5" max="100" step="5" value=${Math.round(pilot.limiter * 100)}
           onInput=${limit} />
         <output>${Math.round(pilot.limiter * 100)} %:${" "}
-          ${twist(pilot.limiter * limits.linear_m_s, pilot.limiter * limits.angular_rad_s)}
+          ${twist(pilot.limiter * limits?.linear_m_s, pilot.limiter * limits?.angular_rad_s)}
         </output></label>
       ${lateral && html`<label class="check"><input type="checkbox" checked=${sideways}
         onChange=${(event) => setSideways(event.target.checked)} /> ${TEXT.strafe}</label>`}

@@ -270,7 +270,7 @@ export function File({ link }) {
   const schema = useSchema();
   const area = useRef(null);
   const { state, check, later } = useCheck(call, setReport);
-  const usable = link.phase === "open" && link.mayCommand;
+  const usable = link.permitted;
 
   const take = (found) => {
     draft.base = loaded(found);

@@ -3,30 +3,31 @@
 
 import { html, useEffect, useState } from "../vendor/htm-preact.js";
 import { TEXT } from "../text.js";
-import { ESTOP_WITHIN_MS, Link } from "../link.js";
-import { Card, measure, Rows, useCall, useLink } from "../parts/parts.js";
+import { Link } from "../link.js";
+import { Card, measure, Rows, useLink } from "../parts/parts.js";
 import { battery, commander } from "./overview.js";
 
 const RATE_HZ = 2;
 
 let pressed = 0;
-let missed = [];  // by the newest e-stop for all: robot and reason; kept when the page changes
+let missed = new Map();  // robots that the newest e-stop for all has not reached, and why
 
-async function estop(one) {
-  if (one.phase === "refused") throw new Error(TEXT.needsToken);
-  if (one.phase !== "open") throw new Error(TEXT.notConnected);
-  if (!one.mayCommand && one.hello.takes_commands) throw new Error(TEXT.needsToken);
-  await one.call("estop", {}, ESTOP_WITHIN_MS);
+/** `report` gets why the robot is not reached yet, and nothing once it is. */
+function estop(one, report) {
+  const watches = one.phase === "open" && !one.permitted && one.hello.takes_commands;
+  if (one.phase === "refused" || watches) return report(TEXT.needsToken);
+  return one.estop((why) => report(why && one.phase !== "open" ? TEXT.notConnected : why));
 }
 
 /** Stops all robots. `changed` is called at once for each robot that was not reached. */
 function estopAll(links, changed) {
   const press = (pressed += 1);
-  missed = [];
-  links.forEach((one) => estop(one).catch((error) => {
+  missed = new Map();
+  links.forEach((one) => estop(one, (why) => {
     if (press !== pressed) return;
     const name = `${one.hello?.robot ?? TEXT.robot} (${one.address})`;
-    missed = [...missed, TEXT.failed(name, error.message)];
+    if (why) missed.set(one.address, TEXT.failed(name, why));
+    else missed.delete(one.address);
     changed();
   }));
   changed();
@@ -34,18 +35,21 @@ function estopAll(links, changed) {
 
 function Robot({ link, own }) {
   useLink(link);
-  const [call, problem] = useCall(link);
+  const [doubt, setDoubt] = useState("");
   const [token, setToken] = useState("");
-  const state = link.phase !== "open" || link.stale ? "unknown" : link.now?.state ?? "unknown";
+  const state = link.now?.state ?? "unknown";
   const name = link.hello?.robot ?? link.address;
   const { now } = link;
-  const watches = link.phase === "open" && !link.mayCommand && link.hello.takes_commands;
+  const watches = link.phase === "open" && !link.permitted && link.hello.takes_commands;
   const connect = (event) => {
     event.preventDefault();
     link.setToken(token.trim() || null);
   };
   return html`<${Card} title=${name} className="robot"
       extra=${html`<span class="chip state-${state}">${TEXT.states[state]}</span>`}>
+    <button class="estop" disabled=${!link.mayEstop}
+      onClick=${() => link.estop(setDoubt)}>${TEXT.estop}
+      ${link.mayEstop && link.stale && html`<small>${TEXT.estopUnsure}</small>`}</button>
     <p class="muted">${own ? TEXT.thisRobot : html`<a href=${link.address}>${link.address}</a>`}</p>
     ${link.phase === "lost" && html`<p class="why">${TEXT.lost}</p>`}
     ${link.phase === "refused" || watches ? html`
@@ -62,9 +66,7 @@ function Robot({ link, own }) {
     ]} />`}
     ${now?.faults.length > 0 && html`<p class="faults">
       ${now.faults.join(", ").replaceAll("_", " ")}</p>`}
-    <button class="estop" disabled=${!link.mayCommand}
-      onClick=${() => call("estop", TEXT.estop, {}, ESTOP_WITHIN_MS)}>${TEXT.estop}</button>
-    ${problem}
+    <p class="problem" role="alert">${doubt && TEXT.estopDoubt(doubt)}</p>
   <//>`;
 }
 
@@ -84,8 +86,8 @@ export function Fleet({ link }) {
   return html`<div>
     <div class="toolbar"><p class="muted">${TEXT.fleetHelp}</p>
       ${others.length > 0 && html`<button class="estop" onClick=${all}>${TEXT.estopAll}</button>`}
-      <div class="problem missed" role="alert">${missed.length > 0 && html`<p>${TEXT.notReached}</p>
-        <ul>${missed.map((text) => html`<li>${text}</li>`)}</ul>`}</div></div>
+      <div class="problem missed" role="alert">${missed.size > 0 && html`<p>${TEXT.notReached}</p>
+        <ul>${[...missed.values()].map((text) => html`<li>${text}</li>`)}</ul>`}</div></div>
     <div class="grid robots">${links.map((one) =>
       html`<${Robot} key=${one.address} link=${one} own=${one === link} />`)}</div>
   </div>`;

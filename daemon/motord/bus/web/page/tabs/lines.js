@@ -65,7 +65,6 @@ function Registers({ link, joint, rows }) {
       title=${`${TEXT.registers}: ${joint} (${link.hello.drives[joint]})`}
       extra=${html`<button disabled=${!link.mayCommand} onClick=${() => read(names)}>
         ${TEXT.readAll}</button>`}>
-    ${problem}
     <div class="table" tabindex="0" role="region" aria-label=${`${TEXT.registers} ${joint}`}><table>
       <thead><tr><th scope="col">${TEXT.register}</th><th scope="col" class="num">${TEXT.value}</th>
         <th scope="col">${TEXT.unit}</th><th scope="col">${TEXT.range}</th><td></td>
@@ -92,6 +91,7 @@ function Registers({ link, joint, rows }) {
           </td>
           <td class="muted">${about.description}</td></tr>`;
       })}</tbody></table></div>
+    ${problem}
   <//>`;
 }
 
@@ -103,7 +103,7 @@ export function Lines({ link }) {
   useEffect(() => {
     if (open) call("params.list", TEXT.registers).then((found) => found && setListed(found));
   }, [open]);
-  if (!link.hello || !link.status) return html`<p class="muted">${TEXT.staleText}</p>`;
+  if (!link.hello || !link.status) return html`<p class="muted">${TEXT.noState}</p>`;
   const registers = Object.entries(listed ?? {}).filter(([name]) => name.startsWith("drive."));
   return html`<div class="grid two">
     ${Object.entries(link.status.lines).map(([name, line]) => html`

@@ -13,6 +13,12 @@ function telling(now) {
   return driven ? now.reasons : now.reasons.filter((word) => !usual.includes(word));
 }
 
+/** Returns a warning while nobody sees whether the robot rests; empty: it is known. */
+export function restProblem({ now, status, stale }) {
+  if (stale || now?.rest !== "unknown") return "";
+  return TEXT.restUnknown(Object.keys(status?.rest_unknown_s ?? {}));
+}
+
 export function StateCard({ link }) {
   const { now, status } = link;
   if (!now) return null;
@@ -21,16 +27,21 @@ export function StateCard({ link }) {
   const reasons = telling(now).map((word) => TEXT.reasons[word] ?? word);
   return html`<${Card} className="state state-${now.state}">
     <p class="state-word">${TEXT.states[now.state] ?? now.state}</p>
-    <p class="next">${TEXT.next[now.state]}</p>
+    <${Actions} link=${link} />
+    <p class="next">${restProblem(link) || TEXT.next[now.state]}</p>
+    ${link.stale && html`<p class="why">
+      ${TEXT.lastState(TEXT.states[link.newest.state], link.staleS)}</p>`}
     ${now.faults.length > 0 && html`<p class="faults">
       ${now.faults.join(", ").replaceAll("_", " ")}</p>`}
     ${[...new Set([...why, ...waits])].map((text) => html`<p class="why">${text}</p>`)}
+    ${status?.held?.length > 0 && html`<p class="why">
+      ${TEXT.held(status.held.map((one) => one.owner).join(", "))}</p>`}
     ${reasons.length > 0 && html`<p class="muted">${TEXT.limited}: ${reasons.join(", ")}</p>`}
-    <${Actions} link=${link} />
   <//>`;
 }
 
 export function commander(link) {
+  if (!link.status) return TEXT.notKnown;
   const first = link.status?.leases?.find((lease) => lease.number === link.now?.owner);
   if (!first) return TEXT.noCommander;
   const driver = link.status.driver;
@@ -38,18 +49,27 @@ export function commander(link) {
 }
 
 export function battery(link) {
-  const found = link.status?.battery;
+  if (!link.status) return TEXT.notKnown;
+  const found = link.status.battery;
   const volts = link.now?.joints.map((joint) => joint.voltage_v).filter(Number.isFinite) ?? [];
   if (!found) return volts.length ? measure(Math.min(...volts), 1, "v") : TEXT.batteryUnknown;
   const current = found.current_a !== null && measure(found.current_a, 1, "a");
   return [found.state, measure(found.voltage_v, 1, "v"), current].filter(Boolean).join(", ");
 }
 
+/** Returns since when it is not known what these joints measure; a dash without a state. */
+function unknownSince(link, joints) {
+  if (link.stale) return "–";
+  if (!joints.length) return TEXT.notKnown;
+  return TEXT.notKnownSince(Math.max(...joints.map((joint) => joint.feedback_age_s)));
+}
+
 function Motion({ link }) {
   const { now, hello } = link;
   const [call, problem] = useCall(link);
-  const pair = (measured, setpoint, unit) =>
-    html`${measure(now[measured], 2, unit)} <span class="muted">/ ${number(now[setpoint])}</span>`;
+  const pair = (measured, setpoint, unit) => html`${Number.isFinite(now[measured])
+    ? measure(now[measured], 2, unit) : unknownSince(link, now.joints.filter(({ stale }) => stale))}
+    <span class="muted">/ ${number(now[setpoint])}</span>`;
   const based = hello.wheels.length > 0;
   const rows = [
     based && [`${TEXT.speed} / ${TEXT.setpoint}`, pair("linear_m_s", "setpoint_linear_m_s", "m_s")],
@@ -73,8 +93,6 @@ function Motion({ link }) {
   <//>`;
 }
 
-const milliseconds = (seconds) =>
-  Number.isFinite(seconds) ? `${number(seconds * 1000, 0)} ms` : "–";
 
 function Joints({ link }) {
   const { hello, now, status } = link;
@@ -100,7 +118,8 @@ function Joints({ link }) {
           <td class="num">${measure(joint.current_a, 2, "a")}</td>
           <td class="num">${measure(joint.voltage_v, 1, "v")}</td>
           <td class="num">${measure(joint.temperature_c, 0, "c")}</td>
-          <td class="num">${milliseconds(joint.feedback_age_s)}</td>
+          <td class="num">${joint.stale ? unknownSince(link, [joint])
+            : `${number(joint.feedback_age_s * 1000, 0)} ms`}</td>
         </tr>`;
       })}</tbody>
     </table></div>
@@ -126,7 +145,7 @@ function Dials({ link }) {
 
 export function Overview({ link, trail }) {
   useLink(link);
-  if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
+  if (!link.hello || !link.now) return html`<p class="muted">${TEXT.noState}</p>`;
   return html`<div class="grid overview">
     <div class="column"><${StateCard} link=${link} /><${Motion} link=${link} /></div>
     ${link.hello.wheels.length > 0

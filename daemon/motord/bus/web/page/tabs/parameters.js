@@ -6,18 +6,19 @@ import { TEXT } from "../text.js";
 import { Card, Difference, useCall, useLink } from "../parts/parts.js";
 
 const STEPS = 400;
-const SPAN = 20;  // a slider goes from 1/20 of the value in force to 20 times that value
+const SPAN = 20;  // from the lowest to the highest value of a slider
 
-/** Returns the range of a slider. It is logarithmic: a limit may lie anywhere in five decades. */
+/** Returns the range of a slider. It is logarithmic: a limit may lie anywhere in five decades. It
+ *  ends at the robot file's value: a higher one has to be typed. */
 function range(about, value) {
-  const centre = value ?? 10;
-  const low = Math.max(about.minimum, centre / SPAN);
-  const high = Math.min(about.maximum ?? Infinity, centre * SPAN);
-  return { low, high };
+  const known = [value, about.from_file].filter((one) => typeof one === "number");
+  const top = known.length ? Math.max(...known) : 10 * SPAN;
+  const high = Math.min(about.maximum ?? Infinity, top);
+  return { low: Math.max(about.minimum, Math.min(high / SPAN, value ?? Infinity)), high };
 }
 
 const toStep = ({ low, high }, value) =>
-  Math.round((STEPS * Math.log(value / low)) / Math.log(high / low));
+  (high > low ? Math.round((STEPS * Math.log(value / low)) / Math.log(high / low)) : STEPS);
 const toValue = ({ low, high }, step) =>
   Number((low * (high / low) ** (step / STEPS)).toPrecision(3));
 
@@ -46,7 +47,8 @@ function Row({ name, about, inForce, value, change }) {
       onBlur=${() => setDraft(null)} onInput=${type} /> ${unit}</span>
     ${about.maximum === null && html`<label class="check"><input type="checkbox" checked=${noLimit}
       onChange=${limit} /> ${TEXT.noLimit}</label>`}
-    <span class="muted small">${about.minimum} … ${about.maximum ?? "∞"} ${unit}${
+    <span class="muted small">${TEXT.most(about.minimum, about.maximum, unit)}; ${
+      TEXT.fromFile(about.from_file ?? TEXT.noLimit)}${
       changed ? `; ${TEXT.forceNow}: ${inForce ?? TEXT.noLimit}` : ""}</span>
   </div>`;
 }
@@ -64,16 +66,33 @@ function Saving({ found, save, close }) {
   </div>`;
 }
 
+/** Asks whether limits that the robot refuses are to be set all the same. */
+function Confirm({ asked, apply, close }) {
+  return html`<div class="difference" role="alertdialog" aria-label=${TEXT.force}>
+    <p class="problem" role="alert">${TEXT.failed(TEXT.apply, asked.why)}</p>
+    <ul>${Object.entries(asked.changes).map(([name, value]) =>
+      html`<li><b>${name}</b>: ${value ?? TEXT.noLimit}</li>`)}</ul>
+    <div class="actions">
+      <button onClick=${close}>${TEXT.cancel}</button>
+      <button class="danger" onClick=${() => apply({ ...asked.changes, force: true })}>
+        ${TEXT.force}</button>
+    </div>
+  </div>`;
+}
+
 export function Parameters({ link }) {
   useLink(link, 500);
   const [listed, setListed] = useState({});
   const [edited, setEdited] = useState({});
   const [diff, setDiff] = useState(null);
-  const [call, problem] = useCall(link);
+  const [asked, ask] = useState(null);  // changes that need a confirmation, and why
+  const [call, problem, say] = useCall(link);
   const open = link.phase === "open";
   const look = () => call("params.list", TEXT.limits).then((found) => found && setListed(found));
   useEffect(() => { if (open) look(); }, [open]);
-  const rows = Object.entries(listed).filter(([name]) => name.startsWith("limits."));
+  const inForce = link.status?.parameters ?? {};
+  const rows = Object.entries(listed).filter(([name]) => name.startsWith("limits."))
+    .map(([name, about]) => [name, name in inForce ? { ...about, value: inForce[name] } : about]);
   const changes = Object.fromEntries(rows
     .filter(([name, about]) => name in edited && edited[name] !== about.value)
     .map(([name]) => [name, edited[name]]));
@@ -86,25 +105,36 @@ export function Parameters({ link }) {
     const found = await call("params.save", TEXT.save);
     if (found) setDiff(found);
   };
-  const apply = async () => {
-    const inForce = await call("params.set", TEXT.apply, changes);
-    if (!inForce) return;
-    setListed((before) => Object.fromEntries(Object.entries(before).map(([name, about]) =>
-      [name, name in inForce ? { ...about, value: inForce[name] } : about])));
-    setEdited({});
+  const edit = (next) => {
+    ask(null);  // what was asked about is not what is shown any more
+    setEdited(next);
+  };
+  const apply = async (wanted) => {
+    ask(null);
+    say("");
+    try {
+      const now = await link.call("params.set", wanted);
+      setListed((before) => Object.fromEntries(Object.entries(before).map(([name, about]) =>
+        [name, name in now ? { ...about, value: now[name] } : about])));
+      setEdited({});
+    } catch (error) {
+      if (error.needsForce) ask({ why: error.message, changes: wanted });
+      else say(TEXT.failed(TEXT.apply, error.message));
+    }
   };
   return html`<${Card} title=${TEXT.limits} className="parameters" extra=${html`
       <span class="muted">${count ? TEXT.changed(count) : TEXT.unchanged}</span>
-      <button disabled=${!count} onClick=${() => setEdited({})}>${TEXT.revert}</button>
-      <button class="main" disabled=${!count || !link.mayCommand} onClick=${apply}>
+      <button disabled=${!count} onClick=${() => edit({})}>${TEXT.revert}</button>
+      <button class="main" disabled=${!count || !link.mayCommand} onClick=${() => apply(changes)}>
         ${TEXT.apply}</button>
       <button disabled=${count || !link.mayCommand} onClick=${compare}>${TEXT.save}</button>`}>
     ${problem}
+    ${asked && html`<${Confirm} asked=${asked} apply=${apply} close=${() => ask(null)} />`}
     ${diff && html`<${Saving} found=${diff} save=${save} close=${() => setDiff(null)} />`}
     ${rows.map(([name, about]) => html`<${Row} key=${name} name=${name} about=${about}
       inForce=${about.value}
       value=${name in edited ? edited[name] : about.value}
-      change=${(key, value) => setEdited((before) => ({ ...before, [key]: value }))} />`)}
+      change=${(key, value) => edit((before) => ({ ...before, [key]: value }))} />`)}
     <p class="muted">${TEXT.lasting}</p>
   <//>`;
 }

@@ -181,10 +181,12 @@ export function Plots({ link, history }) {
   const [seconds, setSeconds] = useState("30");
   const [paused, pause] = useState(false);
   const [shown, setShown] = useState(null);
-  const lines = Object.keys(link.status?.lines ?? {}).join(" ");
+  const status = useRef(null);  // the newest, which names the lines
+  status.current = link.status ?? status.current;
+  const lines = Object.keys(status.current?.lines ?? {}).join(" ");
   const plots = useMemo(
-    () => (link.hello ? plotsOf(link.hello, link.status) : []), [link.hello, lines]);
-  if (!link.hello || !link.now) return html`<p class="muted">${TEXT.staleText}</p>`;
+    () => (link.hello ? plotsOf(link.hello, status.current) : []), [link.hello, lines]);
+  if (!link.hello || !link.now) return html`<p class="muted">${TEXT.noState}</p>`;
   const zoom = Object.assign((range) => setShown(range), { shown });
   const choose = (value) => {
     setShown(null);

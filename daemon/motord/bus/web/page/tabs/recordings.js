@@ -20,7 +20,7 @@ function Recorder({ recorder, link, change }) {
       ${failing ? TEXT.recorderFailing : works}</span>
       ${file && html`<br /><span class="muted">${file}</span>`}</span>
     ${mode === "manual" && html`
-      <button class=${recording ? "" : "main"} disabled=${!link.mayCommand}
+      <button class=${recording ? "" : "main"} disabled=${!link.permitted}
         onClick=${() => change(method, title, { section })}>${title}</button>`}
   </div>`;
 }
@@ -61,7 +61,7 @@ function File({ row, link, change, download }) {
       <span class="muted">${moment(row.wall_time_s)}, ${TEXT.size(row.bytes)}${writing}</span>
     </span>
       <span class="actions">
-        <button disabled=${!link.mayCommand || row.writing} aria-label=${`${title} ${name}`}
+        <button disabled=${!link.permitted || row.writing} aria-label=${`${title} ${name}`}
           onClick=${turn}>${title}</button>
         <button aria-label=${`${TEXT.download} ${name}`} onClick=${() => download(row)}>
           ${TEXT.download}</button>
