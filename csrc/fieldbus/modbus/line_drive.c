@@ -230,8 +230,8 @@ void line_cycle_begin(line_machine *m, uint32_t number, int64_t now_ns)
     drive->frozen = m->newest;
     drive->enabled_before = drive->state.enabled;
     drive->extra_due = drive->cycle_count % table->extra_every == 0;
-    if (drive->state.enabled == 2 && table->extra_count > 0) {
-        drive->extra_due = true; /* the enabled state comes first: it is in the first range */
+    if (line_power_first(m, number)) {
+        drive->extra_due = true;
         drive->extra_next = 0;
     }
     int64_t period_ns = table->period_ns;

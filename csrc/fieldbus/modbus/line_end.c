@@ -38,6 +38,13 @@ static bool reports_power(const line_exchange *turn)
     return false;
 }
 
+bool line_power_first(const line_machine *m, uint32_t number)
+{
+    const line_drive *table = &m->table.drive[number];
+    return m->drive[number].state.enabled == 2 && table->extra_count > 0 &&
+           reports_power(&table->extra[0]);
+}
+
 /* Return the first exchange that reads the drive's power; without one, the exchange that probes it:
  * then only its reception can be known. */
 static uint32_t power_read(const line_drive *table)

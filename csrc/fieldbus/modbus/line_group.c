@@ -128,7 +128,7 @@ static void begin_members(line_machine *m, int64_t now_ns)
         if (is_member(m, i)) {
             line_cycle_begin(m, i, now_ns);
             drive->stage = STAGE_IDLE;
-            drive->extra_due = drive->state.enabled == 2 ||
+            drive->extra_due = line_power_first(m, i) ||
                                (drive->cycle_count + i) % m->table.drive[i].extra_every == 0;
         }
     }

@@ -390,6 +390,9 @@ void line_fast_end(line_machine *m, bool all);
 
 /* --------------------------------------------------------------------------- line_end.c */
 void line_shut_down(line_machine *m, int64_t now_ns);
+/* Whether the first extra exchange goes out in every cycle: it reads the drive's power, which is
+ * not known. */
+bool line_power_first(const line_machine *m, uint32_t drive);
 /* Whether the last power-off has frames that the drive does not acknowledge: then the read after
  * them decides. */
 bool line_reads_power(const line_machine *m, uint32_t drive);

@@ -120,6 +120,24 @@ static void a_drive_that_is_stopping_gets_no_direction(void)
     CHECK(sends() == frame_to(STATUS, 1));
 }
 
+static void ranges_of_a_drive_that_reports_no_power_are_read_in_turn(void)
+{
+    begin_directions(0.0);
+    w.machine.table.drive[0].extra[0].field_count = 0;
+    w.machine.table.drive[0].extra[1].field_count = 0;
+    drive->direction_sent[0] = DIRECTION_REST;
+    uint32_t still = frame_to(SPEED, 0), status = frame_to(STATUS, 1);
+    drive->state.mode = DRIVE_READY;
+    drive->state.enabled = 2;
+    drive->cycle_count = 4;
+    GOES(still, status, frame_to(EXTRA, 1));
+    CHECK(drive->state.enabled == 2);
+    drive->cycle_count = 5;
+    GOES(still, status);
+    drive->cycle_count = 8;
+    GOES(still, status, frame_to(EXTRA + 1, 1));
+}
+
 static void ranges_are_read_in_turn_and_the_one_with_the_power_first(void)
 {
     begin_directions(0.0);
@@ -346,6 +364,7 @@ int main(void)
     each_of_several_directions_is_sent();
     a_drive_that_is_stopping_gets_no_direction();
     ranges_are_read_in_turn_and_the_one_with_the_power_first();
+    ranges_of_a_drive_that_reports_no_power_are_read_in_turn();
     cycles_follow_each_other_by_their_period_and_late_ones_are_not_caught_up();
     the_end_of_a_cycle_evaluates_the_reports_of_the_drive();
     why_a_drive_disabled_itself_is_read_before_it_is_switched_off();

@@ -195,10 +195,10 @@ async def test_counters_count_what_the_wheels_turned(rig, sim, profile):
 
 
 def signed_current(profile):
-    """Return whether a current with a sign arrives here: the text of these tests has none, and that
-    of a RoboClaw does not come. tests/unit/fieldbus/test_inverted_joint.py has all drives."""
+    """Return whether a current with a sign arrives here: the text of these tests has none.
+    tests/unit/fieldbus/test_inverted_joint.py has all drives."""
     name = profile.channels[1].current
-    seen = profile.protocol not in ("ascii", "roboclaw")
+    seen = profile.protocol != "ascii"
     return seen and name is not None and profile.registers[name].type.signed
 
 
