@@ -4,10 +4,12 @@ time. During each test a thread measures this. A test that fails while the machi
 again, at most three times, as long as its runs together took at most AGAIN_MAX_S; the summary names
 it and the measured figures. A test that fails on a machine in time, or does not end, has failed.
 Before the next run the machine gets some time to become less busy: an immediate run makes it
-busier, and then another test fails.
+busier, and then another test fails. For the same reason a test begins only once the machine has
+room for it.
 """
 
 import os
+import random
 import threading
 import time
 
@@ -21,8 +23,12 @@ CROWD = 2.0
 """The machine is late if it has more runnable processes for each processor than this on average."""
 RUNS_MAX = 4
 AGAIN_MAX_S = 130.0
+ROOM_LOOK_S, ROOM_WITHIN_S = 0.05, 10.0
+"""How often a test that waits for room looks, and the longest wait: the others go on meanwhile."""
 CALM_LOOK_S, CALM_WITHIN_S = 0.5, 10.0
 """How long the machine must be in time before the next run, and the longest wait for that."""
+CPUS = os.cpu_count() or 1
+_PAUSES = random.Random()  # the tests' own numbers depend on the seed alone
 _NAME = "late machine"
 _LOAD_FD = os.open("/proc/loadavg", os.O_RDONLY | os.O_CLOEXEC)
 """Open descriptor of /proc/loadavg; never closed, because some tests use up all descriptors."""
@@ -57,7 +63,7 @@ class Watch:
     @property
     def crowd(self):
         """Runnable processes for each processor, without the measuring thread."""
-        return self.waiting / max(self.looks, 1) / (os.cpu_count() or 1)
+        return self.waiting / max(self.looks, 1) / CPUS
 
     @property
     def why(self):
@@ -70,6 +76,13 @@ class Watch:
 def runnable():
     """Return the number of other runnable processes: proc(5), /proc/loadavg, the fourth field."""
     return int(os.pread(_LOAD_FD, 100, 0).split()[3].partition(b"/")[0]) - 1
+
+
+def wait_for_room():
+    """Wait until the machine is not crowded, at most ROOM_WITHIN_S."""
+    end_s = time.monotonic() + ROOM_WITHIN_S
+    while runnable() > CROWD * CPUS and time.monotonic() < end_s:
+        time.sleep(ROOM_LOOK_S * _PAUSES.uniform(0.5, 1.5))  # not all at once
 
 
 def calm_down():
@@ -92,6 +105,7 @@ def hung(report):
 def pytest_runtest_protocol(item, nextitem):
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     took_s = 0.0
+    wait_for_room()
     for run in range(1, RUNS_MAX + 1):
         began_s = time.monotonic()
         with Watch() as watch:
