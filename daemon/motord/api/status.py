@@ -145,7 +145,11 @@ class LineStatus:
     reopened: int = 0
     errors: Mapping[str, int] = field(default_factory=dict)
     cycle_hz: float = NAN
+    """Cyclic rate of the drive that falls behind its rate most; 0: no drive has one."""
+    requested_hz: float = NAN
+    """The rate that the robot file requests of it."""
     wire_limit_hz: float = NAN
+    """Rate that the wire carries if its drives answer at once."""
     round_trip_us: Spread = field(default_factory=Spread)
 
 

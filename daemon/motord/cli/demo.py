@@ -200,7 +200,7 @@ def show_machine(result: Result | JointResult, report: dict[str, Any]) -> None:
         row(
             name,
             f"{line['exchanges']} exchanges on the {line['engine']} engine, "
-            f"{line['cycle_hz']:.0f} cycles/s (the wire carries {line['wire_limit_hz']:.0f}), "
+            f"{line['cycle_hz']:.0f} of {line['requested_hz']:.0f} cycles/s, "
             f"{trip['p50'] / 1000:.1f} ms a round trip, errors: {errors or 'none'}",
         )
         for text in error_words(line):

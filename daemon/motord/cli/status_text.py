@@ -178,8 +178,8 @@ def _line(line: dict[str, Any]) -> str:
     trip = line["round_trip_us"]
     errors = ", ".join(f"{count} {kind}" for kind, count in line["errors"].items() if count)
     return (
-        f"{line['state']} at {line['port']}, {line['cycle_hz']:.0f} cycles/s "
-        f"(the wire carries {line['wire_limit_hz']:.0f}), "
+        f"{line['state']} at {line['port']}, {line['cycle_hz']:.0f} of {line['requested_hz']:.0f} "
+        "cycles/s, "
         f"{trip['p50'] / 1000:.1f} ms p50 {trip['max'] / 1000:.1f} ms max a round trip, "
         f"{errors or 'no errors'}"
     )

@@ -59,7 +59,9 @@ class Wire:
     cycle_hz: float
     share: float
     most_hz: float
-    """Rate at which the wire is fully used."""
+    """Rate at which the wire is fully used, if each drive answers at once."""
+    least_hz: float
+    """The same if each drive answers as late as its profile allows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,12 +157,15 @@ def _wires(robot: Robot) -> list[Wire]:
         if spec.kind == "can":
             own, cycle_s = bus_load(spec)
             share, cycle_hz = own + cycle_s * spec.cycle_hz, spec.cycle_hz
-            most_hz = max(1.0 - own, 0.0) / cycle_s
+            least_hz = most_hz = max(1.0 - own, 0.0) / cycle_s
         else:
             need = budget(spec)
             share, cycle_hz = need.share, need.cycle_hz
             most_hz = need.most_hz if share else cycle_hz
-        found.append(Wire(line=spec.name, cycle_hz=cycle_hz, share=share, most_hz=most_hz))
+            least_hz = need.least_hz if share else cycle_hz
+        found.append(
+            Wire(line=spec.name, cycle_hz=cycle_hz, share=share, most_hz=most_hz, least_hz=least_hz)
+        )
     return found
 
 

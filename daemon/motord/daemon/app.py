@@ -22,6 +22,7 @@ from motord.control.assembly import core_config, line_specs, loop_settings
 from motord.control.health import Health, Heart
 from motord.control.machine import Event
 from motord.control.operation import Operation
+from motord.control.rate_watch import LineRate, RateWatch
 from motord.control.source_log import SourceLog
 from motord.daemon import procedures, running_file
 from motord.daemon.battery_task import watch_battery
@@ -266,7 +267,7 @@ async def _watch_health(operation: Operation, health: Health, notifier: Notifier
     """Feed the supervisor's watchdog as long as loop, lines and (by this very task) asyncio move.
     Log what the sources of commands do wrong."""
     period_s = min(HEALTH_PERIOD_S, (notifier.watchdog_s or 2.0) / 4.0)
-    pin_errno, sources = 0, SourceLog(operation.leases)
+    pin_errno, sources, rates = 0, SourceLog(operation.leases), RateWatch()
     while True:
         before, pin_errno = pin_errno, operation.loop.status().watchdog_errno
         if pin_errno not in (0, before):
@@ -279,7 +280,14 @@ async def _watch_health(operation: Operation, health: Health, notifier: Notifier
         else:
             operation.fault(f"stands still: {', '.join(verdict.stalled)}")
         sources.look()
+        for message in rates.look(now_ns(), map(_line_rate, operation.lines)):
+            _log.warning("%s", message)
         await asyncio.sleep(period_s)
+
+
+def _line_rate(line: Line) -> LineRate:
+    stats = line.stats()
+    return LineRate(line=line.spec.name, cycle_hz=stats.cycle_hz, requested_hz=stats.requested_hz)
 
 
 def _hearts(operation: Operation) -> list[Heart]:

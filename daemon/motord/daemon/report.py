@@ -232,6 +232,7 @@ def _line(line: Line, operation: Operation) -> dict[str, Any]:
         "reopened": stats.reopened,
         "errors": dict(stats.errors),
         "cycle_hz": stats.cycle_hz,
+        "requested_hz": stats.requested_hz,
         "wire_limit_hz": stats.wire_limit_hz,
         "round_trip_us": {"p50": trips.p50_us, "p99": trips.p99_us, "max": trips.max_us},
     }

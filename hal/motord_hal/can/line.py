@@ -72,6 +72,7 @@ class CanLine(AsyncioLine[CanDrive]):
             reopened=self._reopened,
             errors=dict(self._bus.errors),
             cycle_hz=self._cycles.rate_hz,
+            requested_hz=self.spec.cycle_hz,
             wire_limit_hz=wire_limit_hz(self.spec, [drive.plan for drive in self._drives]),
         )
 

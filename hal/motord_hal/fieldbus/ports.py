@@ -343,8 +343,13 @@ class LineStats:
     reopened: int = 0
     errors: dict[str, int] = field(default_factory=dict)
     cycle_hz: float = 0.0
+    """Cyclic rate, smoothed; 0: none is known. Where drives have rates of their own, it is that of
+    the drive which falls behind its rate most."""
+    requested_hz: float = 0.0
+    """The rate that the robot file requests of the line, or of that drive."""
     wire_limit_hz: float = 0.0
-    """Highest cyclic rate that the wire can carry with these drives, frames and gaps."""
+    """Highest cyclic rate that the wire can carry with these drives, frames and gaps, if the drives
+    answer at once."""
     round_trip: RoundTrips = field(default_factory=RoundTrips)
 
 

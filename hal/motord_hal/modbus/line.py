@@ -67,6 +67,7 @@ class ModbusRtuLine(AsyncioLine[Drive]):
             reopened=self._reopened,
             errors=dict(self._link.errors),
             cycle_hz=self._cycles.rate_hz,
+            requested_hz=self.spec.cycle_hz,
             wire_limit_hz=1.0 / sum(drive.plan.cycle_time_s() for drive in self._drives),
             round_trip=self._link.round_trips.percentiles(),
         )

@@ -218,13 +218,15 @@ class DrivePlan(Plan):
         mask = (1 << self.profile.counter_bits) - 1
         return self._reading(joint, values, values.get(channel.position or "", 0) & mask, sign)
 
-    def cycle_time_s(self) -> float:
-        """Return the wire time of a mean cycle: set-points and fast ranges always, an extra one at
-        times, and two gaps an exchange (before the request, and before the drive may answer)."""
+    def cycle_time_s(self, late_part: float = 0.0) -> float:
+        """Return the time of a mean cycle on the wire: set-points and fast ranges always, an extra
+        one at times. `late_part`: when the drive answers, as a part of its longest turn-around; 0:
+        at once."""
+        late_s = late_part * self.profile.turnaround_s
         cyclic = self.cyclic(self.setpoints({}))
-        time_s = sum(self._exchange_time_s(exchange.request) for exchange in cyclic)
+        time_s = sum(self._exchange_time_s(exchange.request, late_s) for exchange in cyclic)
         if self.extra:
-            extra_s = sum(self._exchange_time_s(r.request(self.unit)) for r in self.extra)
+            extra_s = sum(self._exchange_time_s(r.request(self.unit), late_s) for r in self.extra)
             time_s += extra_s / len(self.extra) / EXTRA_EVERY_CYCLES
         return time_s
 
@@ -234,9 +236,11 @@ class DrivePlan(Plan):
         requests += [span.request(self.unit) for span in self.extra[:1]]
         return sum(self._exchange_time_s(r) + self.profile.turnaround_s for r in requests)
 
-    def _exchange_time_s(self, request: Request) -> float:
+    def _exchange_time_s(self, request: Request, late_s: float = 0.0) -> float:
+        """Return the time of an exchange with the silence before the request, and that before the
+        answer, which is never shorter."""
         size = len(build_request(request)) + reply_bytes(request)
-        return self._wire_time_s(size) + 2 * self._gap_s
+        return self._wire_time_s(size) + self._gap_s + max(self._gap_s, late_s)
 
 
 def _end(register: Register) -> int:

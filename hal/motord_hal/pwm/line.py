@@ -106,7 +106,7 @@ class PwmLine(LineTask):
             span_s = now_s() - self._started_s
             self._stats.cycle_hz = report.cycles / span_s if span_s > 0 else 0.0
         self._stats.reopened = self._reopened
-        self._stats.wire_limit_hz = self.spec.cycle_hz
+        self._stats.requested_hz = self._stats.wire_limit_hz = self.spec.cycle_hz
         return self._stats
 
     # ------------------------------------------------------------------------------------ the task

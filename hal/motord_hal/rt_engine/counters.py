@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from motord_hal.fieldbus.ports import LineStats, RoundTrips
 from motord_hal.realtime.drive_state import Mode
 from motord_hal.realtime.line import LineReport, LineThread
@@ -13,7 +15,9 @@ _ERRORS = ("no_reply", "bad_reply", "refused")
 class LineCounters:
     """Adds the counters of earlier threads and of the present one."""
 
-    def __init__(self, wire_limit_hz: float) -> None:
+    def __init__(self, requested_hz: Sequence[float], wire_limit_hz: float) -> None:
+        """`requested_hz`: cyclic rate that each drive should have."""
+        self._requested_hz = tuple(requested_hz)
         self._wire_limit_hz = wire_limit_hz
         self._exchanges = 0
         self._cycles = 0
@@ -35,6 +39,7 @@ class LineCounters:
             exchanges=self._exchanges,
             cycles=self._cycles,
             errors=dict(self._errors),
+            requested_hz=max(self._requested_hz),
             wire_limit_hz=self._wire_limit_hz,
             round_trip=self._round_trip,
         )
@@ -42,20 +47,24 @@ class LineCounters:
             stats.exchanges += report.exchanges
             stats.cycles += _cycles(report)
             stats.errors = _with(self._errors, report)
-            stats.cycle_hz = _cycle_hz(report)
+            stats.cycle_hz, stats.requested_hz = self._rates_hz(report)
             stats.round_trip = thread.round_trips()
         return stats
+
+    def _rates_hz(self, report: LineReport) -> tuple[float, float]:
+        """Return the cyclic rate of the drive that falls behind most, among those that are ready or
+        armed, and the rate requested of it. The first one is 0 if no drive has a rate."""
+        rates_hz = [
+            (1e9 / drive.cycle_ns, requested_hz)
+            for drive, requested_hz in zip(report.drives, self._requested_hz, strict=True)
+            if drive.mode in (Mode.READY, Mode.ARMED) and drive.cycle_ns
+        ]
+        behind = min(rates_hz, key=lambda rates: rates[0] / rates[1], default=None)
+        return behind or (0.0, max(self._requested_hz))
 
 
 def _cycles(report: LineReport) -> int:
     return max((drive.cycles for drive in report.drives), default=0)
-
-
-def _cycle_hz(report: LineReport) -> float:
-    """Return the cyclic rate of the slowest drive that is ready or armed; 0: no drive is."""
-    asked = (drive for drive in report.drives if drive.mode in (Mode.READY, Mode.ARMED))
-    slowest_ns = max((drive.cycle_ns for drive in asked), default=0)
-    return 1e9 / slowest_ns if slowest_ns else 0.0
 
 
 def _with(errors: dict[str, int], report: LineReport) -> dict[str, int]:

@@ -39,26 +39,32 @@ def spec():
     return bare(line_specs(robot, {"zlac8015d": robot.profiles["zlac8015d"]})[0])
 
 
-# Computed by hand: both set-points take 13 bytes and an answer of 8; 20A5h to 20ACh 8 and 21; one
-# acyclic register 8 and 7. Each exchange has two gaps.
+# Computed by hand: both set-points take 13 bytes and an answer of 8; 20A5h to 20ACh 8 and 21. Each
+# exchange has two gaps.
 WRITE_S = 21 * CHARACTER_S + 2 * GAP_S
 READ_S = 29 * CHARACTER_S + 2 * GAP_S
-SLOT_S = 15 * CHARACTER_S + 2 * GAP_S
 
 
-def test_a_line_needs_the_time_of_its_frames_and_of_one_acyclic_exchange_a_cycle(spec):
+def test_a_line_needs_the_time_of_its_frames_and_gaps(spec):
     need = budget(spec)
     assert (need.drives, need.cycle_hz) == (1, 50.0)
-    assert need.share == pytest.approx(50 * (WRITE_S + READ_S + SLOT_S))
-    assert need.most_hz == pytest.approx(1 / (WRITE_S + READ_S + SLOT_S))
+    assert need.share == pytest.approx(50 * (WRITE_S + READ_S))
+    assert need.most_hz == pytest.approx(1 / (WRITE_S + READ_S))
     assert cycle_limit_hz(spec) == pytest.approx(1 / (WRITE_S + READ_S))
+
+
+def test_a_drive_that_answers_at_the_latest_takes_its_turnaround_in_place_of_the_second_gap(spec):
+    turnaround_s = spec.joints[0].profile.turnaround_s
+    assert turnaround_s > GAP_S
+    least_hz = 1 / (WRITE_S + READ_S + 2 * (turnaround_s - GAP_S))
+    assert budget(spec).least_hz == pytest.approx(least_hz)
 
 
 def test_each_drive_counts_at_its_own_rate(spec):
     slow = tuple(replace(joint, unit=2, cycle_hz=10.0) for joint in spec.joints)
     need = budget(replace(spec, joints=(*spec.joints, *slow)))
     assert need.drives == 2
-    assert need.share == pytest.approx(60 * (WRITE_S + READ_S) + 50 * SLOT_S)
+    assert need.share == pytest.approx(60 * (WRITE_S + READ_S))
 
 
 def test_what_helps_is_computed_for_this_line(spec):
@@ -66,9 +72,9 @@ def test_what_helps_is_computed_for_this_line(spec):
     both_s = (13 + 4 + 21) * CHARACTER_S + 2 * GAP_S  # function 23: 17 bytes, an answer of 21
     help_wanted = dict(helps(replace(spec, cycle_hz=100.0)))
     assert help_wanted == {
-        "function 23 where the drives have it": pytest.approx(1 / (both_s + SLOT_S)),
-        'gap = "3.5char"': pytest.approx(1 / (65 * CHARACTER_S + 6 * gap_s)),
-        "baudrate = 921600": pytest.approx(1 / (65 * 10 / 921600 + 6 * GAP_S)),
+        "function 23 where the drives have it": pytest.approx(1 / both_s),
+        'gap = "3.5char"': pytest.approx(1 / (50 * CHARACTER_S + 4 * gap_s)),
+        "baudrate = 230400": pytest.approx(1 / (50 * 10 / 230400 + 4 * GAP_S)),
     }
     assert 'gap = "3.5char"' not in dict(helps(replace(spec, gap=Gap.CHARACTERS)))
 
@@ -95,4 +101,4 @@ def test_a_default_rate_beyond_the_wire_is_a_warning(tmp_path):
     path = tmp_path / "robot.toml"
     path.write_text(text.replace("cycle_hz = 30\n", ""), encoding="utf-8")
     rows = [row.text for row in load_robot(path).warnings]
-    assert any(row.startswith("line rs485: 2 drives at 50 Hz need 160 %") for row in rows)
+    assert any(row.startswith("line rs485: 2 drives at 50 Hz need 136 %") for row in rows)

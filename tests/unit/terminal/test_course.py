@@ -130,7 +130,7 @@ def result(source=Source.COUNTERS, found=None, held_up_s=0.0, **changes):
         "lines": {
             "rs485": {
                 "engine": "asyncio", "exchanges": 700, "errors": {"no_reply": 2, "bad_reply": 0},
-                "cycle_hz": 45.0, "wire_limit_hz": 74.0,
+                "cycle_hz": 45.0, "requested_hz": 50.0, "wire_limit_hz": 74.0,
                 "round_trip_us": {"p50": 6500.0, "p99": 7000.0, "max": 9000.0},
             }
         },

@@ -80,9 +80,12 @@ def _stops(found: Understood, robot: Robot) -> str:
 def _wire(wire: Wire) -> str:
     if not wire.share:
         return f"{wire.cycle_hz:g} updates/s"
+    carried = f"{wire.most_hz:.0f}/s"
+    if wire.least_hz < wire.most_hz:
+        carried = f"at most {carried}, and {wire.least_hz:.0f}/s if drives answer at the latest"
     return (
         f"{wire.cycle_hz:g} updates/s are {100 * wire.share:.0f} % of the wire "
-        f"(it carries {wire.most_hz:.0f}/s)"
+        f"(it carries {carried})"
     )
 
 

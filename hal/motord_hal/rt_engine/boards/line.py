@@ -61,6 +61,7 @@ class RtBoardLine(RtLineBase[BoardReport, BoardRtDrive]):
             cycles=self._cycles,
             reopened=self._reopened,
             errors=dict(self._counted()),
+            requested_hz=self.spec.cycle_hz,
             wire_limit_hz=self._wire_limit_hz,
             round_trip=self._round_trips,
         )

@@ -85,6 +85,7 @@ class RtCanLine(RtLineBase[CanReport, CanRtDrive]):
             cycles=self._cycles,
             reopened=self._reopened,
             errors=dict(self._errors),
+            requested_hz=self.spec.cycle_hz,
             wire_limit_hz=wire_limit_hz(self.spec, self._plans),
         )
         if self._report is not None:

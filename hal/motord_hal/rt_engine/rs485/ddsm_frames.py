@@ -28,6 +28,7 @@ class DdsmFrames:
         self.joints = tuple(sorted(joints, key=lambda joint: joint.channel))
         self.profile: DriveProfile = self.joints[0].profile
         self.unit = self.joints[0].unit
+        self._gap_s = gap_s
         self._exchange_s = wire_time_s(2 * FRAME_BYTES) + 2 * gap_s
 
     def cyclic(self) -> tuple[PlannedFrame, ...]:
@@ -71,9 +72,10 @@ class DdsmFrames:
     def raw(self, name: str, reply: bytes) -> int:
         return pick(reply, self.profile.registers[name])
 
-    def cycle_time_s(self) -> float:
+    def cycle_time_s(self, late_part: float = 0.0) -> float:
+        late_s = max(late_part * self.profile.turnaround_s - self._gap_s, 0.0)
         extra = bool(self.extra()) / EXTRA_EVERY_CYCLES
-        return self._exchange_s * (len(self.cyclic()) + extra)
+        return (self._exchange_s + late_s) * (len(self.cyclic()) + extra)
 
     def slowest_cycle_s(self) -> float:
         exchanges = len(self.cyclic()) + bool(self.extra())

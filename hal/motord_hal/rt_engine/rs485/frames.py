@@ -64,8 +64,9 @@ class DriveFrames(Protocol):
         """Return the register's raw value in the answer to `read(name)`."""
         ...
 
-    def cycle_time_s(self) -> float:
-        """Return the wire time of one mean cycle."""
+    def cycle_time_s(self, late_part: float = 0.0) -> float:
+        """Return the time of a mean cycle on the wire. `late_part`: when the drive answers, as a
+        part of its longest turn-around; 0: at once."""
         ...
 
     def slowest_cycle_s(self) -> float:

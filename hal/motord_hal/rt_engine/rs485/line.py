@@ -16,6 +16,7 @@ from motord_hal.rt_engine.rs485.drive import SerialDrive
 from motord_hal.rt_engine.rs485.jobs import DriveJobs
 from motord_hal.rt_engine.rs485.protocols import frames_of
 from motord_hal.rt_engine.rs485.request_queue import RequestQueue
+from motord_hal.rt_engine.rs485.servo_frames import cycle_of_all_s
 from motord_hal.rt_engine.rs485.table import late_ns, line_table
 from motord_hal.serial.counters import Traffic, Witness
 from motord_hal.serial.port import OpenPort, open_port
@@ -56,7 +57,8 @@ class RtLine(RtLineBase[LineReport, SerialDrive]):
             )
             for index, drive in enumerate(frames)
         ]
-        self._counters = LineCounters(1.0 / sum(drive.cycle_time_s() for drive in frames))
+        requested_hz = [1e9 / drive.period_ns for drive in self._table.drive]
+        self._counters = LineCounters(requested_hz, 1.0 / cycle_of_all_s(frames))
         self._port: OpenPort | None = None
         self._may_turn = 0
         """Bit n is 1 if drive n may have been moving when the port was lost."""

@@ -25,10 +25,12 @@ def frames_of(spec: LineSpec) -> list[DriveFrames]:
                 f"{joint.name}: {joint.profile.name} speaks {joint.profile.protocol}, "
                 f"and {spec.name} is a {spec.kind} line"
             )
-    return [_frames(spec, joints) for joints in joints_by_unit(spec)]
+    return [frames_for(spec, joints) for joints in joints_by_unit(spec)]
 
 
-def _frames(spec: LineSpec, joints: list[JointSpec]) -> DriveFrames:
+def frames_for(spec: LineSpec, joints: list[JointSpec]) -> DriveFrames:
+    """Return the frames of one unit on the line."""
+
     def wire_time_s(size_bytes: int) -> float:
         return frame_time_s(size_bytes, spec.baudrate, spec.parity, spec.stop_bits)
 

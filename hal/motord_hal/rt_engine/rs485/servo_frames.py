@@ -10,7 +10,7 @@ from motord_hal.fieldbus.plan import present_positions
 from motord_hal.fieldbus.ports import JointSpec
 from motord_hal.modbus.plan import WireTime, wanted_registers
 from motord_hal.realtime.table import LineFrame, LineGroup, Seal
-from motord_hal.rt_engine.rs485.frames import PlannedFrame
+from motord_hal.rt_engine.rs485.frames import DriveFrames, PlannedFrame
 from motord_hal.servo.packets import (
     BROADCAST_UNIT,
     INSTRUCTION_ADDRESS,
@@ -91,9 +91,11 @@ class ServoFrames:
         return decode(self.profile.registers[name], reply[self._packets.status_head_bytes :])
 
     # --------------------------------------------------------------------------------------- times
-    def cycle_time_s(self) -> float:
-        """Return the wire time of one mean cycle, as if the servo were alone on its line."""
-        return self.heads_s() + self.share_s()
+    def cycle_time_s(self, late_part: float = 0.0) -> float:
+        """Implement `DriveFrames.cycle_time_s`: a cycle in which the servo is written and read
+        alone."""
+        cyclic_s = sum(self._frame_s(planned.frame, late_part) for planned in self.cyclic())
+        return cyclic_s + self._extra_s(late_part)
 
     def heads_s(self) -> float:
         """Return the wire time of the two requests in a cycle of all servos, without their parts
@@ -101,13 +103,13 @@ class ServoFrames:
         heads = 2 * (self._group_head_bytes() + self._packets.seal_bytes)
         return self._wire_time_s(heads) + self._gap_s
 
-    def share_s(self) -> float:
-        """Return the wire time that this servo adds to such a cycle: its set-point, its reply, and
-        its mean share of extra exchanges."""
+    def share_s(self, late_part: float) -> float:
+        """Return the time that this servo adds to such a cycle: its set-point, its reply, and its
+        mean share of extra exchanges."""
         asked = size_bytes(self._setpoint()) + 2
-        extra_s = max(map(self._exchange_s, self._extra), default=0.0)
+        late_s = late_part * self.profile.turnaround_s
         cyclic_s = self._wire_time_s(asked + self._reply_bytes(self._cyclic.count))
-        return cyclic_s + extra_s / EXTRA_EVERY_CYCLES
+        return late_s + cyclic_s + self._extra_s(late_part)
 
     def slowest_cycle_s(self) -> float:
         """Implement `DriveFrames.slowest_cycle_s`."""
@@ -139,6 +141,16 @@ class ServoFrames:
 
     def _reply_bytes(self, count: int) -> int:
         return self._packets.status_head_bytes + count + self._packets.seal_bytes
+
+    def _extra_s(self, late_part: float) -> float:
+        frames = [planned.frame for planned in self.extra()]
+        times_s = [self._frame_s(frame, late_part) for frame in frames]
+        return sum(times_s) / max(len(times_s), 1) / EXTRA_EVERY_CYCLES
+
+    def _frame_s(self, frame: LineFrame, late_part: float) -> float:
+        late_s = late_part * self.profile.turnaround_s
+        wire_s = self._wire_time_s(len(frame.request) + frame.reply_bytes)
+        return wire_s + self._gap_s + max(self._gap_s, late_s)
 
     def _exchange_s(self, span: _Span) -> float:
         sent = self._group_head_bytes() + self._packets.seal_bytes
@@ -183,12 +195,14 @@ def group_of(drives: Sequence[ServoFrames]) -> LineGroup | None:
     return groups.pop() if len(groups) == 1 else None
 
 
-def cycle_of_all_s(drives: Sequence[ServoFrames]) -> float:
-    """Return the wire time of a mean cycle of all servos. Without a common sync read they are
-    cycled one after the other."""
-    if group_of(drives) is None:
-        return sum(each.cycle_time_s() for each in drives)
-    return drives[0].heads_s() + sum(each.share_s() for each in drives)
+def cycle_of_all_s(drives: Sequence[DriveFrames], late_part: float = 0.0) -> float:
+    """Return the time of a mean cycle of all drives on the wire. Servos with a common sync read
+    are read together, all others one after the other. `late_part`: as for
+    `DriveFrames.cycle_time_s`."""
+    servos = [each for each in drives if isinstance(each, ServoFrames)]
+    if not servos or group_of(servos) is None:
+        return sum(each.cycle_time_s(late_part) for each in drives)
+    return servos[0].heads_s() + sum(each.share_s(late_part) for each in servos)
 
 
 def _end(register: Register) -> int:

@@ -134,7 +134,7 @@ export const TEXT = {
 
   line: "Line", port: "Port", engine: "Engine", exchanges: "Exchanges", roundTrip: "Round trip",
   cycle: "Cycle rate",
-  ofWire: (rate, limit) => `${rate} Hz of ${limit} Hz that the wire carries`,
+  ofRequested: (rate, requested) => `${rate} of ${requested} Hz`,
   noErrors: "no errors",
   reopened: (n) => `opened again ${n} times`,
   errorKinds: {

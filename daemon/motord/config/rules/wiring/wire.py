@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 from motord_hal.base.errors import ProfileError
@@ -13,15 +13,12 @@ from motord_hal.drives.profile import Gap
 from motord_hal.fieldbus.ports import JointSpec, LineSpec
 from motord_hal.mcu.pace import WIRE_SHARE_MAX
 from motord_hal.modbus.codec import Function, frame_time_s
-from motord_hal.modbus.plan import DrivePlan
 from motord_hal.modbus.timing import line_gap_s
 from motord_hal.servo.packets import KINDS as SERVO_KINDS
 
 if TYPE_CHECKING:
-    from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
+    from motord_hal.rt_engine.rs485.frames import DriveFrames
 
-_ASK_BYTES = 8 + 7
-"""Bytes to read one register: request and reply (MODBUS Application Protocol V1.1b3, 6.3)."""
 _BAUDRATES = (19200, 38400, 57600, 115200, 230400, 460800, 921600)
 _SERVO_BAUDRATES = {
     "feetech": (115200, 250_000, 500_000, 1_000_000),
@@ -30,22 +27,31 @@ _SERVO_BAUDRATES = {
 _STREAMS = ("mcu", "ascii", "hoverboard", "sabertooth")
 """Kinds without acyclic exchanges, and without a gap between frames."""
 _WORTH_SAYING = 1.02
+_AT_ONCE, _AT_THE_LATEST = 0.0, 1.0
+"""When drives answer, as parts of the longest turn-around in their profiles."""
 
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """What a line needs of its wire at the requested rates, with one acyclic exchange a cycle."""
+    """What a line needs of its wire at the requested rates, if its drives answer at once."""
 
     drives: int
     cycle_hz: float
     """The highest requested rate."""
     share: float
     """Part of the wire's time; 1: all of it."""
+    latest_share: float
+    """The same if each drive answers as late as its profile allows."""
 
     @property
     def most_hz(self) -> float:
         """The rate at which all of the wire is needed; drives with less keep their proportion."""
         return self.cycle_hz / self.share
+
+    @property
+    def least_hz(self) -> float:
+        """The same rate if each drive answers as late as its profile allows."""
+        return self.cycle_hz / self.latest_share
 
 
 def cycle_limit_hz(spec: LineSpec) -> float:
@@ -53,20 +59,19 @@ def cycle_limit_hz(spec: LineSpec) -> float:
     exchanges."""
     if spec.kind == "pwm":
         return spec.cycle_hz  # pins have no wire
-    return 1 / sum(_cycle_time_s(spec, joints) for joints in _units(spec))
+    return 1 / sum(_cycle_times_s(spec, _AT_ONCE))
 
 
 def budget(spec: LineSpec) -> Budget:
-    """Return what a line needs if its drives answer at once: it never needs less."""
+    """Return what a line needs of its wire for its cycles alone; acyclic requests come on top."""
     if spec.kind == "pwm":
-        return Budget(len(spec.joints), spec.cycle_hz, 0.0)
-    drives = [(_cycle_time_s(spec, joints), _rate_hz(spec, joints)) for joints in _units(spec)]
-    most_hz = max(rate_hz for _, rate_hz in drives)
-    slot_s = _wire_time_s(spec, _ASK_BYTES) + 2 * line_gap_s(spec)
-    if spec.kind in _STREAMS:
-        slot_s = 0.0
-    cyclic = sum(time_s * rate_hz for time_s, rate_hz in drives)
-    return Budget(len(drives), most_hz, cyclic + slot_s * most_hz)
+        return Budget(len(spec.joints), spec.cycle_hz, 0.0, 0.0)
+    rates_hz = [_rate_hz(spec, joints) for joints in _units(spec)]
+    shares = [
+        sum(map(operator.mul, _cycle_times_s(spec, late_part), rates_hz))
+        for late_part in (_AT_ONCE, _AT_THE_LATEST)
+    ]
+    return Budget(len(rates_hz), max(rates_hz), *shares)
 
 
 def helps(spec: LineSpec) -> Iterator[tuple[str, float]]:
@@ -118,30 +123,27 @@ def slowest_cycle_s(spec: LineSpec) -> float:
     if spec.kind in SERVO_KINDS:
         longest_s = sum(joints[0].profile.turnaround_s for joints in _units(spec))
         return 1 / cycle_limit_hz(spec) + longest_s
-    return sum(_plan(spec, joints).slowest_cycle_s() for joints in _units(spec))
+    return sum(frames.slowest_cycle_s() for frames in _frames(spec))
 
 
-def _cycle_time_s(spec: LineSpec, joints: list[JointSpec]) -> float:
+def _cycle_times_s(spec: LineSpec, late_part: float) -> list[float]:
+    """Return the time of each unit's cycle."""
+    units = _units(spec)
     if spec.kind in _STREAMS:
-        size_bytes = _stream_bytes(spec, joints)
-        return _wire_time_s(spec, size_bytes) / WIRE_SHARE_MAX / len(_units(spec))
+        sizes_bytes = [_stream_bytes(spec, joints) for joints in units]
+        return [_wire_time_s(spec, size) / WIRE_SHARE_MAX / len(units) for size in sizes_bytes]
+    frames = _frames(spec)
     if spec.kind in SERVO_KINDS:
-        from motord_hal.rt_engine.rs485.servo_frames import ServoFrames, cycle_of_all_s
+        from motord_hal.rt_engine.rs485.servo_frames import cycle_of_all_s
 
-        units = _units(spec)
-        wire_time_s = partial(_wire_time_s, spec)
-        servos = [ServoFrames(unit, line_gap_s(spec), wire_time_s) for unit in units]
-        return cycle_of_all_s(servos) / len(units)
-    return _plan(spec, joints).cycle_time_s()
+        return [cycle_of_all_s(frames, late_part) / len(units)] * len(units)
+    return [each.cycle_time_s(late_part) for each in frames]
 
 
-def _plan(spec: LineSpec, joints: list[JointSpec]) -> DdsmFrames | DrivePlan:
-    gap_s, wire_time_s = line_gap_s(spec), partial(_wire_time_s, spec)
-    if spec.kind == "ddsm":
-        from motord_hal.rt_engine.rs485.ddsm_frames import DdsmFrames
+def _frames(spec: LineSpec) -> list[DriveFrames]:
+    from motord_hal.rt_engine.rs485.protocols import frames_for  # boards do without
 
-        return DdsmFrames(joints, gap_s, wire_time_s)
-    return DrivePlan(joints, gap_s, wire_time_s)
+    return [frames_for(spec, joints) for joints in _units(spec)]
 
 
 def _stream_bytes(spec: LineSpec, joints: list[JointSpec]) -> int:

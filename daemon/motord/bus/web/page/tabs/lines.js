@@ -20,11 +20,11 @@ function Errors({ errors, exchanges }) {
 function Line({ name, line }) {
   const { p50, p99, max } = line.round_trip_us;
   const ms = (us, digits) => `${number(us / 1000, digits)} ms`;
-  const share = Math.min(1, line.cycle_hz / line.wire_limit_hz);
+  const share = Math.min(1, line.cycle_hz / line.requested_hz);
   const rows = [
     [TEXT.port, line.port],
     [TEXT.engine, line.engine],
-    [TEXT.cycle, TEXT.ofWire(number(line.cycle_hz, 0), number(line.wire_limit_hz, 0))],
+    [TEXT.cycle, TEXT.ofRequested(number(line.cycle_hz, 0), number(line.requested_hz, 0))],
     [TEXT.roundTrip, `p50 ${ms(p50, 2)}, p99 ${ms(p99, 2)}, max ${ms(max, 1)}`],
     [TEXT.exchanges, line.exchanges],
   ];
