@@ -46,7 +46,7 @@ class RobotFileText:
         self.path = path.resolve()  # the file itself: `save` must not replace a link to it
         try:
             self._found = bounded.read(self.path)
-            self._text = self._found.decode() if text is None else text
+            self._text = self._found.decode("utf-8-sig") if text is None else text
         except OSError as error:
             raise EditError(f"{path}: cannot be read: {error.strerror}") from error
         except UnicodeDecodeError as error:

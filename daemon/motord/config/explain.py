@@ -53,6 +53,8 @@ class Complaint:
     stand_in: Any = _NOTHING
     rename: str | None = None
     factor: float = 1.0
+    decides: bool = False
+    """Whether the key decides which other keys its table has."""
 
 
 def explain(schema: Node, errors: Sequence[ErrorDetails]) -> list[Complaint]:
@@ -64,11 +66,11 @@ def explain(schema: Node, errors: Sequence[ErrorDetails]) -> list[Complaint]:
         if error["type"] != "default_factory_not_called"
     ]
     meant = {(*hit.path[:-1], hit.rename) for hit in found if hit.rename}
-    refused = {hit.path[:-1] for hit in found if hit.path[-1] == "kind"}
+    refused = {hit.path[:-1] for hit in found if hit.decides}
     return [
         hit
         for hit in found
-        if hit.path not in meant and (hit.path[-1] == "kind" or hit.path[:-1] not in refused)
+        if hit.path not in meant and (hit.decides or hit.path[:-1] not in refused)
     ]
 
 
@@ -107,9 +109,7 @@ def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
     if kind == "extra_forbidden":
         return _unknown_key(path, around, value)
     if kind in ("union_tag_invalid", "union_tag_not_found"):
-        path = (*path, "kind")
-        value = value.get("kind") if isinstance(value, dict) else value
-        kind = "missing" if kind == "union_tag_not_found" else "literal_error"
+        return _no_kind(path, node, error)
     stand_in = _NOTHING if isinstance(path[-1], int) else _stand_in(node, value)
     if kind == "missing":
         return Complaint(path, f"is missing{_description(node)}{_hint(allowed(node))}", stand_in)
@@ -128,6 +128,18 @@ def _complaint(schema: Node, error: ErrorDetails) -> Complaint:
     if kind == "string_too_short":
         return Complaint(path, "is empty", stand_in)
     return Complaint(path, f"{_shown(value)}: {error['msg']}", stand_in)
+
+
+def _no_kind(path: Path, node: Node, error: ErrorDetails) -> Complaint:
+    """Return the complaint about the key that decides which other keys its table has."""
+    key, value = error["ctx"]["discriminator"].strip("'"), error["input"]
+    value = value.get(key, _NOTHING) if isinstance(value, dict) else value
+    stand_in = _stand_in(node, value)
+    if value is _NOTHING:
+        text = f"is missing{_description(node)}{_hint(allowed(node))}"
+    else:
+        text = _no_choice(node, value)
+    return Complaint((*path, key), text, stand_in, decides=True)
 
 
 def _quotes(kind: str, value: Any) -> str:

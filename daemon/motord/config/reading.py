@@ -56,7 +56,7 @@ class Places:
 def read_text(file: File, where_from: str = "") -> str:
     """Return the content of the file; `where_from`: how to get one. Raises ConfigError."""
     try:
-        return bounded.read(file).decode()
+        return bounded.read(file).decode("utf-8-sig")  # Windows' Notepad writes a mark first
     except FileNotFoundError as error:
         near = did_you_mean(file.name, (path.name for path in file.parent.glob("*.toml")))
         cure = near or (where_from and f": {where_from}")

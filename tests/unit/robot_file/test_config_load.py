@@ -37,6 +37,68 @@ inverted = true
 """
 
 
+UNIONS = {
+    "base": ("kind", "base.kind"),
+    "line.bus": ("kind", "line.bus.kind"),
+    "battery": ("source", "battery.source"),
+    "imu": ("source", "imu.source"),
+    "input.x": ("kind", "input.x.kind"),
+    "publish.x": ("kind", "publish.x.kind"),
+    "joint.left.encoder": ("kind", "joint.left.encoder.kind"),
+}
+"""Tables whose other keys depend on one key."""
+
+
+def loaded_with(tmp_path, table, text):
+    """Load a robot file in which this table has only this text; return its problems."""
+    rest = re.sub(rf"(?m)^\[{re.escape(table)}\]\n(?:[a-z_]+ = .*\n)*", "", MINIMAL)
+    file = tmp_path / "robot.toml"
+    file.write_text(f"{rest}[{table}]\n{text}", encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_robot(file)
+    return caught.value.problems
+
+
+@pytest.mark.parametrize("table", UNIONS)
+def test_a_missing_key_that_decides_is_named(tmp_path, table):
+    key, path = UNIONS[table]
+    wrong = "kind" if key == "source" else "type"
+    rows = [row for row in loaded_with(tmp_path, table, f'{wrong} = "x"\n') if row.key == path]
+    assert [row.text.partition(" (")[0] for row in rows] == ["is missing"]
+
+
+@pytest.mark.parametrize(("value", "shown"), [('"x"', '"x"'), ("7", "7"), ("[]", "a list")])
+@pytest.mark.parametrize("table", UNIONS)
+def test_a_wrong_value_of_the_key_that_decides_is_shown(tmp_path, table, value, shown):
+    key, path = UNIONS[table]
+    (row,) = (row for row in loaded_with(tmp_path, table, f"{key} = {value}\n") if row.key == path)
+    assert row.text.startswith(f"{shown} is ")
+
+
+def test_the_mark_that_some_editors_write_first_is_accepted(tmp_path):
+    file = tmp_path / "robot.toml"
+    file.write_text(MINIMAL, encoding="utf-8-sig")
+    assert load_robot(file).robot.name == "minimal"
+
+
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [
+        ("ttyUSB0", 'write "/dev/ttyUSB0"'),
+        ("serial0", 'write "/dev/serial0"'),
+        ("COM3", "a port of Windows"),
+        ("com12", "a port of Windows"),
+    ],
+)
+def test_a_port_that_is_no_path_is_refused_with_the_right_form(tmp_path, port, words):
+    file = tmp_path / "robot.toml"
+    file.write_text(MINIMAL.replace("/dev/ttyUSB0", port), encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_robot(file)
+    (row,) = caught.value.problems
+    assert (row.key, words in row.text) == ("line.bus.port", True)
+
+
 @pytest.fixture
 def problems_of(tmp_path):
     """Return a function that gives the errors of a robot file's text, without the file's name."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Iterator
 
 from motord.config.finding import Finding
@@ -43,6 +44,9 @@ from motord_hal.serial.sysfs import port_identity
 ON_RT_ONLY = (DdsmLine, DynamixelLine, FeetechLine, PortLine)
 """Kinds that are always on a serial port of this machine."""
 WITHOUT_ADDRESS = (McuLine, AsciiLine, HoverboardLine)
+_DEVICE = re.compile(r"(tty[A-Z]\w*|serial\d|rfcomm\d+)")
+"""Names in /dev of serial ports: drivers' prefixes, the Raspberry Pi's links, Bluetooth."""
+_WINDOWS = re.compile(r"COM\d+", re.IGNORECASE)
 
 
 def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
@@ -50,6 +54,20 @@ def _one_port_a_line(robot: Robot) -> Iterator[Finding]:
         if _port(first) == _port(second):
             paths = (("line", other, _port_key(second)), ("line", one, _port_key(first)))
             yield Finding(paths, f'line "{one}" has this port already')
+
+
+def _port_name(robot: Robot) -> Iterator[Finding]:
+    """Refuse names of ports that are no paths: `open` looks for them in the present folder."""
+    for name, line in robot.line.items():
+        if isinstance(line, GatewayLine | PwmLine):
+            continue
+        port = line.channel if isinstance(line, CanLine) else line.port
+        at = (("line", name, _port_key(line)),)
+        if _DEVICE.fullmatch(port):
+            yield Finding(at, f'"{port}" is no path: write "/dev/{port}"')
+        elif _WINDOWS.fullmatch(port):
+            text = f'"{port}" is a port of Windows: here it is "/dev/ttyUSB0" or "/dev/ttyACM0"'
+            yield Finding(at, f"{text}, for instance (`ls -l /dev/serial/by-id` shows them)")
 
 
 def _port(line: AnyLine) -> str:
@@ -218,6 +236,7 @@ def _priority(robot: Robot) -> Iterator[Finding]:
 
 LINE_RULES: tuple[Callable[[Robot], Iterator[Finding]], ...] = (
     _one_port_a_line,
+    _port_name,
     _engine,
     _adapter,
     _unit,
