@@ -3,6 +3,7 @@
 
 import asyncio
 import json
+import math
 import signal
 import struct
 import subprocess
@@ -12,9 +13,10 @@ import urllib.request
 import aiohttp
 import pytest
 from tests.sim.daemon_stage import DEADLINE_S, ROOT, becomes_idle
-from tests.sim.web.web_page import ACKNOWLEDGE, CLOSING, free_port, listens, with_dashboard
+from tests.sim.web.web_page import ACKNOWLEDGE, CLOSING, DRIVE, free_port, listens, with_dashboard
 
 from motord.bus.web.adapter import VIEWERS_MAX
+from motord.bus.web.viewer import BUSY
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +72,7 @@ async def test_a_page_without_the_token_can_only_look(stage, connect, call):
     assert stage.state() not in ("armed", "moving", "estop")
 
 
+PRESENT = 4
 TOGETHER = 16
 """Half of what the server keeps of connections without a request."""
 
@@ -91,14 +94,44 @@ async def test_a_page_can_call_only_listed_methods(connect, call):
     assert "error" in await (await connect()).answer(call)
 
 
-@pytest.mark.parametrize(
-    "junk", [b"", b"\x01", b"\x03\x01", b"\xff" * 45, "[]", "{", '{"rate_hz": "x"}', "{}"]
-)
+HUGE = "9" * 400
+JUNK = [
+    *(b"", b"\x01", b"\x03\x01", b"\xff" * 45, "[]", "{", '{"rate_hz": "x"}', "{}"),
+    struct.pack("<BIddddd", DRIVE, 1, 1e308, 1e308, 0.0, 0.0, 0.0),
+    struct.pack("<BIddddd", DRIVE, 1, math.nan, math.inf, 1e308, 1e308, 1e308),
+    struct.pack("<Bdd", PRESENT, 1e308, -1e308),
+    f'{{"rate_hz": {HUGE}}}',
+    '{"rate_hz": 1e308}',
+    '{"call": ["status"]}',
+    '{"call": {"status": 1}, "id": [[]]}',
+    f'{{"call": "status", "id": {HUGE}, "params": []}}',
+]
+
+
+@pytest.mark.parametrize("junk", JUNK, ids=range(len(JUNK)))
 async def test_a_malformed_message_does_not_close_the_page(connect, junk):
     page = await connect()
     send = page.connection.send_bytes if isinstance(junk, bytes) else page.connection.send_str
     await send(junk)
     assert (await page.answer("status"))["result"]["state"] not in ("armed", "moving")
+
+
+WRONG = [None, True, -1, 1e308, int(HUGE), "", "x" * 300, [], [[]], [None], {}, {"a": [{}]}]
+NAMES = ("text", "sha256", "name", "line", "procedure", "number", "value", "values", "options",
+         "joints", "section", "reason", "file", "seconds", "joint", "register", "force")  # fmt: skip
+
+
+@pytest.mark.parametrize("call", [*sorted({*CALLS} - {"arm", "reset"}), "trace", "ticket"])
+async def test_parameters_of_any_type_are_answered_and_logged_as_no_bug(stage, connect, call):
+    page = await connect()
+    for wrong in WRONG:
+        answer = {"error": BUSY}
+        while answer.get("error") == BUSY:
+            answer = await page.answer(call, **dict.fromkeys(NAMES, wrong))
+        assert answer.keys() & {"result", "error"}
+    assert "Traceback" not in stage.logged()
+    assert f"{call!r}: " not in stage.logged()
+    becomes_idle(stage)
 
 
 async def test_a_page_that_shows_an_old_state_cannot_drive_and_gets_the_reason(connect):

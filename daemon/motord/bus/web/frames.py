@@ -43,6 +43,8 @@ _UNKNOWN = 2
 _F32_MAX = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]
 _BITS = {word: 1 << bit for bit, word in REASONS.items()}
 _FAULT_BITS = {word: 1 << bit for bit, word in FAULTS.items()}
+TIME_MAX = 1e15
+"""Greatest time of a page, in ms or s: thirty thousand years in ms."""
 _DRIVE = struct.Struct("<BIddddd")
 _NUMBERED = struct.Struct("<BI")
 _PRESENT = struct.Struct("<Bdd")
@@ -124,8 +126,7 @@ def drive_frame(raw: bytes) -> DriveFrame:
         raise ValueError(f"a command has {_DRIVE.size} bytes")
     _, *fields = _DRIVE.unpack(raw)
     found = DriveFrame(*fields)
-    if not (math.isfinite(found.sent_ms) and math.isfinite(found.seen_s)):
-        raise ValueError("the times of a command are finite")
+    _check_times(found.sent_ms, found.seen_s)
     return found
 
 
@@ -143,6 +144,11 @@ def present_frame(raw: bytes) -> tuple[float, float]:
     if len(raw) != _PRESENT.size:
         raise ValueError(f"such a frame has {_PRESENT.size} bytes")
     _, sent_ms, seen_s = _PRESENT.unpack(raw)
-    if not (math.isfinite(sent_ms) and math.isfinite(seen_s)):
-        raise ValueError("the times of a page are finite")
+    _check_times(sent_ms, seen_s)
     return sent_ms, seen_s
+
+
+def _check_times(*times: float) -> None:
+    """Raise ValueError for times that no clock shows: further arithmetic would overflow."""
+    if not all(abs(time) <= TIME_MAX for time in times):
+        raise ValueError(f"a time is a number up to {TIME_MAX:g}")

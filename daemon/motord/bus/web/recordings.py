@@ -45,7 +45,7 @@ class Recordings:
 
     def file(self, section: object, name: object) -> Path:
         """Return the path of a recording. Raises NotTaken for a file that is not listed."""
-        known = {(row["section"], row["name"]) for row in self.listed()}
+        known = [(row["section"], row["name"]) for row in self.listed()]  # a page sends any type
         if (section, name) not in known:
             raise NotTaken("there is no such recording")
         return self._folders[str(section)] / str(name)

@@ -20,6 +20,7 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from motord.api.local_rpc import NEEDS_FORCE
+from motord.base.rate_limited_log import RateLimitedLog
 from motord.bus.commands.gate import URGENT, NotTaken, short, tag
 from motord.bus.messages import json_form
 from motord.bus.web.frames import (
@@ -48,6 +49,7 @@ NEVER_TOO_MANY = (*URGENT, "commission.stop")
 BUSY = "too many requests: try again"
 
 _log = logging.getLogger(__name__)
+_unchecked = RateLimitedLog(_log)
 
 Serve = Callable[["Viewer", str, Mapping[str, Any]], Awaitable[Any]]
 """Function that answers a call of a page. Raises NotTaken and ClientError."""
@@ -233,9 +235,8 @@ class Viewer:
             self._set_rate(request["rate_hz"])
         else:
             method = request.get("call")
-            if method not in NEVER_TOO_MANY and (
-                self._calls >= CALLS_MAX or not self._asking.take()
-            ):
+            urgent = isinstance(method, str) and method in NEVER_TOO_MANY
+            if not urgent and (self._calls >= CALLS_MAX or not self._asking.take()):
                 self._answer(request, {"error": BUSY})
                 return
             self._calls += 1
@@ -243,7 +244,7 @@ class Viewer:
 
     def _set_rate(self, rate_hz: object) -> None:
         if isinstance(rate_hz, int | float) and rate_hz >= RATE_MIN_HZ:
-            self.rate_hz = min(float(rate_hz), self._rate_max_hz)
+            self.rate_hz = float(min(rate_hz, self._rate_max_hz))
 
     async def _call(self, request: Mapping[str, Any], method: object) -> None:
         params = request.get("params", {})
@@ -257,6 +258,10 @@ class Viewer:
         except OSError as error:  # out of descriptors, perhaps: no reason to cut the page off
             _log.warning("%s: %s failed: %s", self.name, method, error)
             self._answer(request, {"error": f"the robot's computer: {error.strerror or error}"})
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+            # a parameter that its method did not check: a bug, which costs this message alone
+            _unchecked.say(f"{self.name}: {short(method)}: {type(error).__name__}: {error}")
+            self._answer(request, {"error": f"a parameter of {short(method)} cannot be used"})
         finally:
             self._calls -= 1
 
