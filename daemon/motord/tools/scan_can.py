@@ -19,6 +19,7 @@ from motord.config.drives.load import list_profiles, load_profile
 from motord.tools.scan import Found, Match
 from motord_hal.base.errors import PortError, ProfileError
 from motord_hal.can.address import bus_arguments, split_address
+from motord_hal.can.interface import exists, missing
 from motord_hal.can.unix_client import UnixClient
 
 LISTEN_S = 2.2
@@ -218,6 +219,8 @@ def _opened(address: str, bitrate: int, data_bitrate: int | None) -> Iterator[ca
         else:
             bus = can.Bus(**bus_arguments(address, bitrate, data_bitrate))
     except (can.CanError, OSError, ValueError, ImportError) as error:
+        if interface == "socketcan" and not exists(channel):
+            raise PortError(f"{address}: {missing(channel)}") from error
         up = f": ip link set {channel} up type can bitrate {bitrate}"
         cure = up if interface == "socketcan" else ""
         raise PortError(f"{address}: {error}{cure}") from error

@@ -18,7 +18,12 @@ IFF_UP = 0x1
 """Flag of an interface that is up, from linux/if.h."""
 CANFD_MTU = 72
 """MTU of an interface that carries CAN FD, from linux/can.h; 16 is one that does not."""
+ARPHRD_CAN = "280"
+"""Type of an interface for CAN, from linux/if_arp.h."""
+CAN_TABLES = Path("/proc/net/can")
+"""Exists while the kernel's module `can` is loaded."""
 LOOK_EVERY_S = 0.5
+_PORT = "/dev/ttyUSB0"
 BUS_OFF_TEXT = (
     "bus-off: the controller has given up after too many errors (cable, termination, bit rate)"
 )
@@ -49,7 +54,31 @@ def _number(channel: str, name: str, address: str, base: int) -> int:
     try:
         return int((NET / channel / name).read_text(encoding="ascii"), base)
     except (OSError, ValueError):
-        raise PortError(f"{address}: there is no such interface") from None
+        raise PortError(f"{address}: {missing(channel)}") from None
+
+
+def exists(channel: str) -> bool:
+    """Return whether the kernel has an interface of this name."""
+    return (NET / channel).exists()
+
+
+def missing(channel: str) -> str:
+    """Return the text about a CAN interface that the kernel does not have."""
+    names = sorted(path.parent.name for path in NET.glob("*/type") if _is_can(path))
+    if names:
+        here = f"those here: {', '.join(names)}"
+    elif not CAN_TABLES.exists():
+        here = "this kernel has no CAN yet: `modprobe can_raw`, and the driver of your adapter"
+    else:
+        here = "there is none here"
+    return f"there is no CAN interface {channel} ({here}); a serial port is a path such as {_PORT}"
+
+
+def _is_can(path: Path) -> bool:
+    try:
+        return path.read_text(encoding="ascii").strip() == ARPHRD_CAN
+    except OSError:
+        return False
 
 
 def _restart_if_off(channel: str) -> str:

@@ -159,8 +159,10 @@ def test_a_cancelled_scan_sends_no_more_requests():
 def test_a_bus_that_cannot_be_opened_is_named_with_the_remedy(tmp_path):
     with pytest.raises(PortError, match="no-bus"):
         scan_can(f"unix:{tmp_path}/no-bus", 500_000, None, print)
-    with pytest.raises(PortError, match="ip link set can77 up type can bitrate 500000"):
+    with pytest.raises(PortError, match=r"no CAN interface can77 .*a serial port is a path"):
         scan_can("socketcan:can77", 500_000, None, print)
+    with pytest.raises(PortError, match="ip link set lo up type can bitrate 500000"):
+        scan_can("socketcan:lo", 500_000, None, print)  # it exists, and carries no CAN
 
 
 # -------------------------------------------------------------------------- requests and answers

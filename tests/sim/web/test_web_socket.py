@@ -117,8 +117,10 @@ async def test_a_malformed_message_does_not_close_the_page(connect, junk):
 
 
 WRONG = [None, True, -1, 1e308, int(HUGE), "", "x" * 300, [], [[]], [None], {}, {"a": [{}]}]
-NAMES = ("text", "sha256", "name", "line", "procedure", "number", "value", "values", "options",
-         "joints", "section", "reason", "file", "seconds", "joint", "register", "force")  # fmt: skip
+NAMES = (
+    *("text", "sha256", "name", "line", "procedure", "number", "value", "values", "options"),
+    *("joints", "section", "reason", "file", "seconds", "joint", "register", "force"),
+)
 
 
 @pytest.mark.parametrize("call", [*sorted({*CALLS} - {"arm", "reset"}), "trace", "ticket"])

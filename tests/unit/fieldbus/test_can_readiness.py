@@ -87,8 +87,29 @@ async def test_an_interface_that_is_down_or_missing_is_refused_with_what_to_do(n
     net(flags=0)
     with pytest.raises(PortError, match="lo is down: ip link set lo up type can"):
         await ready()
-    with pytest.raises(PortError, match="nothing0: there is no such interface"):
+    with pytest.raises(PortError, match="nothing0: there is no CAN interface nothing0"):
         await make_ready("socketcan:nothing0", Counter(), fd_frames=False)
+
+
+@pytest.mark.parametrize(
+    ("kernel_has_can", "interfaces", "words"),
+    [
+        (True, {"can1": "280", "can0": "280", "eth0": "1"}, "those here: can0, can1"),
+        (True, {"eth0": "1"}, "there is none here"),
+        (False, {"eth0": "1"}, "this kernel has no CAN yet: `modprobe can_raw`"),
+    ],
+)
+def test_a_missing_interface_is_told_from_a_kernel_without_can(
+    tmp_path, monkeypatch, kernel_has_can, interfaces, words
+):
+    monkeypatch.setattr(interface, "NET", tmp_path / "net")
+    monkeypatch.setattr(interface, "CAN_TABLES", tmp_path / "can")
+    for name, kind in interfaces.items():
+        (tmp_path / "net" / name).mkdir(parents=True)
+        (tmp_path / "net" / name / "type").write_text(f"{kind}\n", encoding="ascii")
+    if kernel_has_can:
+        (tmp_path / "can").mkdir()
+    assert words in interface.missing("can7")
 
 
 async def test_can_fd_is_refused_where_the_interface_does_not_carry_it(net):
