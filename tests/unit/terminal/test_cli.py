@@ -144,6 +144,35 @@ def test_drives_checks_a_file_of_your_own(motord, tmp_path):
     assert motord("drives", "x", "--check", bad).exit_code == Exit.USAGE
 
 
+@pytest.mark.parametrize(
+    ("verbs", "short"),
+    [
+        (("list",), ()),
+        (("list", "--json"), ("--json",)),
+        (("show", "zlac8015d"), ("zlac8015d",)),
+        (("check", ROOT / "config/drives/zlac8015d.toml"),
+         ("--check", ROOT / "config/drives/zlac8015d.toml")),
+    ],
+)  # fmt: skip
+def test_drives_has_verbs_and_short_forms_of_them(motord, verbs, short):
+    long = motord("drives", *verbs)
+    assert long.exit_code == Exit.DONE
+    assert long.output == motord("drives", *short).output
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("show",), ("check",), ("new",), ("list", "x"), ("show", "x", "--answers", "y"),
+     ("check", "x", "--check", "y"), ("zlac8015d", "x")],
+)  # fmt: skip
+def test_a_verb_of_drives_without_what_it_needs_is_answered_with_its_usage(motord, words):
+    result = motord("drives", *words)
+    assert result.exit_code == Exit.USAGE
+    assert f"motord drives {words[0] if words[0] in ('show', 'check', 'new') else 'list'}" in (
+        result.output
+    )
+
+
 def test_schema_on_one_line_is_the_same(motord):
     short, long = motord("schema", "--json"), motord("schema")
     assert short.stdout.count("\n") == 1

@@ -17,10 +17,18 @@ from motord.config.drives.unknown import UNKNOWN
 from motord_hal.base.errors import ProfileError
 from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register
 
+_USAGE = {
+    "list": "motord drives list",
+    "show": "motord drives show NAME",
+    "check": "motord drives check FILE",
+    "new": "motord drives new FILE [--answers FILE]",
+}
+"""Usage by verb. No profile has such a name."""
+
 
 @click.command
-@click.argument("name", required=False, shell_complete=drive_names)
-@click.argument("path", required=False, type=click.Path(path_type=Path))
+@click.argument("name", metavar="[VERB|NAME]", required=False, shell_complete=drive_names)
+@click.argument("path", metavar="[NAME|FILE]", required=False, type=click.Path(path_type=Path))
 @click.option(
     "--answers",
     metavar="FILE",
@@ -38,22 +46,35 @@ from motord_hal.drives.profile import SI_UNITS, DriveProfile, Register
 def drives(
     name: str | None, path: Path | None, answers: Path | None, file: Path | None, as_json: bool
 ) -> None:
-    """List the drive profiles, show one in full, or create a new one.
+    """List the drive profiles, show one in full, check your own, or create a new one.
 
     A profile is a file that describes a drive: its registers and how to use them. A robot file
     refers to your own profile by its path, such as drive = "./mydrive.toml".
 
     \b
-    Example: motord drives
-             motord drives zlac8015d
-             motord drives --check mydrive.toml
+    Example: motord drives list
+             motord drives show zlac8015d
+             motord drives check mydrive.toml
              motord drives new mydrive.toml
+
+    Without a verb, NAME is shown, and without NAME all are listed.
     """
-    if name == "new" and path is not None and file is None:
-        new_drive(path, answers)
+    if name in _USAGE:
+        verb, usage = name, _USAGE[name]
+        wants_path = verb != "list"
+        if wants_path != (path is not None) or file is not None or (answers and verb != "new"):
+            raise click.UsageError(usage)
+        if path is None:
+            _list(as_json)
+        elif verb == "new":
+            new_drive(path, answers)
+        elif verb == "check":
+            _check(path, as_json)
+        else:
+            _show(str(path), as_json)
         return
-    if name == "new" or path is not None or answers is not None:
-        raise click.UsageError("motord drives new FILE [--answers FILE]")
+    if path is not None or answers is not None:
+        raise click.UsageError("; ".join(_USAGE.values()))
     if name is not None and file is not None:
         raise click.UsageError("give a name or --check FILE, not both")
     if file is not None:

@@ -47,7 +47,7 @@ def new_drive(path: Path, answers_file: Path | None) -> None:
             "A robot with this drive does not pass `motord check` before these are filled in."
         )
     click.echo("Next: put in what is missing (faults, current, counter), then")
-    click.echo(f"  motord drives --check {path}")
+    click.echo(f"  motord drives check {path}")
 
 
 def _wrong(path: Path, unknown: list[str]) -> str:
