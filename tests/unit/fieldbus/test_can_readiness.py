@@ -99,7 +99,7 @@ async def test_an_interface_that_is_down_or_missing_is_refused_with_what_to_do(n
         (False, {"eth0": "1"}, "this kernel has no CAN yet: `modprobe can_raw`"),
     ],
 )
-def test_a_missing_interface_is_told_from_a_kernel_without_can(
+def test_a_missing_interface_and_a_kernel_without_can_have_different_texts(
     tmp_path, monkeypatch, kernel_has_can, interfaces, words
 ):
     monkeypatch.setattr(interface, "NET", tmp_path / "net")

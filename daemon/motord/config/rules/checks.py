@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from motord.config.drives.load import find_profile, is_file_name, list_profiles, load_profile
 from motord.config.finding import Finding
 from motord.config.rules.bus import BUS_RULES
-from motord.config.rules.drive import drive_rules
+from motord.config.rules.drive import drive_rules, spoken
 from motord.config.rules.robot import ROBOT_RULES
 from motord.config.rules.wiring.line import LINE_RULES
 from motord.config.sections.joint.wheels import Profiles, encoders_of
@@ -21,21 +21,44 @@ from motord_hal.roboclaw.codec import UNITS as ROBOCLAW_UNITS
 from motord_hal.servo.packets import KINDS as SERVO_KINDS
 from motord_hal.servo.packets import UNIT_MAX as SERVO_UNIT_MAX
 
+_FAILURES = (ArithmeticError, AttributeError, LookupError, ProfileError, TypeError, ValueError)
 _REFERENCES = (("line",), ("drive",), ("channel",), ("unit",))
 
 
 def findings(robot: Robot) -> tuple[list[Finding], Profiles]:
     """Return everything that does not fit together, and the profiles of the drives. Rules that need
-    drives check only the joints that have a line, a drive, an address and a channel."""
-    found = [hit for rule in (*ROBOT_RULES, *LINE_RULES, *BUS_RULES) for hit in rule(robot)]
+    drives check only the joints that have a line, a drive that speaks its protocol, an address and
+    a channel."""
+    rules = (*ROBOT_RULES, *LINE_RULES, *BUS_RULES)
+    found = [hit for rule in rules for hit in _found_by(rule, robot)]
     profiles, wrong = _profiles(robot)
     found += wrong
     lost = {path[1] for path, *_ in (hit.paths for hit in found) if path[2:] in _REFERENCES}
-    joints = {name: joint for name, joint in robot.joint.items() if name not in lost}
-    if joints:
-        rest = robot.model_copy(update={"joint": joints})
-        found += [hit for rule in drive_rules(rest) for hit in rule(rest, profiles)]
-    return found, profiles
+    rest = _without(robot, lost)
+    mute = _found_by(spoken, rest, profiles)
+    rest = _without(rest, {hit.paths[0][1] for hit in mute})
+    if rest.joint:
+        found += [hit for rule in drive_rules(rest) for hit in _found_by(rule, rest, profiles)]
+    return [*found, *mute], profiles
+
+
+def _without(robot: Robot, names: set[str | int]) -> Robot:
+    joints = {name: joint for name, joint in robot.joint.items() if name not in names}
+    return robot.model_copy(update={"joint": joints})
+
+
+def _found_by(rule: Callable[..., Iterator[Finding]], *arguments: object) -> list[Finding]:
+    """Return what a rule finds. One that fails is a bug of motord, and a finding: the file is
+    refused, and the other findings may show what the rule did not expect."""
+    try:
+        return list(rule(*arguments))
+    except _FAILURES as error:
+        text = (
+            f"a check of motord failed ({rule.__module__}.{rule.__name__}: "
+            f"{type(error).__name__}: {error}). Mend what else is found here; if nothing is, "
+            "report this with your file: it is a bug"
+        )
+        return [Finding((("robot",),), text)]
 
 
 def _profiles(robot: Robot) -> tuple[Profiles, list[Finding]]:

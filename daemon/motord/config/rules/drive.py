@@ -73,7 +73,8 @@ def _one_joint_a_channel(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
             yield Finding((path, *paths), text)
 
 
-def _protocol(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+def spoken(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
+    """Check that each drive speaks the protocol of its line: other rules compute with it."""
     for name, joint in robot.joint.items():
         kind, protocol = robot.line[joint.line].kind, profiles[joint.drive].protocol
         if protocol not in _SPEAKS.get(kind, ("modbus-rtu",)):
@@ -314,7 +315,6 @@ def _watchdogs(robot: Robot, profiles: Profiles) -> Iterator[Finding]:
 Rule = Callable[[Robot, Profiles], Iterator[Finding]]
 _RULES: tuple[Rule, ...] = (
     _one_joint_a_channel,
-    _protocol,
     _mounting,
     alike,
     _velocity,
