@@ -46,5 +46,5 @@ async def test_a_silent_drive_is_switched_off_and_reported(peer):
 
 
 async def test_a_missing_bus_is_an_error(peer):
-    with pytest.raises(PortError, match="no such interface"):
+    with pytest.raises(PortError, match="there is no CAN interface"):
         await halt_line(spec_of(peer, 0, port="socketcan:nothing0"))

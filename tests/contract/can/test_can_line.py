@@ -295,7 +295,7 @@ async def test_a_closed_line_reports_so(peer):
             with pytest.raises(PortError):
                 await order()
         assert rig.kinds() == [EventKind.LINE_LOST]
-        assert "no such interface" in rig.events[0].text
+        assert "there is no CAN interface" in rig.events[0].text
 
 
 # ----------------------------------------------------------------------------------- unresponsive

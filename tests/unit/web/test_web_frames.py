@@ -82,7 +82,7 @@ def test_a_daemon_with_another_robot_file_gives_no_frame():
     assert Packer(3).pack(view(1).snapshot, 1) is None
 
 
-@pytest.mark.parametrize("time", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("time", [math.nan, math.inf, -math.inf, 1e308, -1e16])
 @pytest.mark.parametrize("place", [0, 1])
 def test_a_command_without_a_time_is_refused(time, place):
     times = [5.0, 5.0]

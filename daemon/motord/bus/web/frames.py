@@ -151,4 +151,4 @@ def present_frame(raw: bytes) -> tuple[float, float]:
 def _check_times(*times: float) -> None:
     """Raise ValueError for times that no clock shows: further arithmetic would overflow."""
     if not all(abs(time) <= TIME_MAX for time in times):
-        raise ValueError(f"a time is a number up to {TIME_MAX:g}")
+        raise ValueError(f"times are finite, at most {TIME_MAX:g}")
