@@ -38,7 +38,7 @@ class Claim:
     are alike. Empty: the frame is of one drive."""
 
     def shared_with(self, other: Claim) -> int | None:
-        """Return an identifier that both have, though they must not; None: there is none."""
+        """Return an identifier that both have, though they must not; None: they have none."""
         if self.extended != other.extended or (self.identifier ^ other.identifier) & (
             self.mask & other.mask
         ):

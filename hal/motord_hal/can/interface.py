@@ -70,7 +70,7 @@ def missing(channel: str) -> str:
     elif not CAN_TABLES.exists():
         here = "this kernel has no CAN yet: `modprobe can_raw`, and the driver of your adapter"
     else:
-        here = "there is none here"
+        here = "this machine has none"
     return f"there is no CAN interface {channel} ({here}); a serial port is a path such as {_PORT}"
 
 

@@ -95,7 +95,7 @@ async def test_an_interface_that_is_down_or_missing_is_refused_with_what_to_do(n
     ("kernel_has_can", "interfaces", "words"),
     [
         (True, {"can1": "280", "can0": "280", "eth0": "1"}, "those here: can0, can1"),
-        (True, {"eth0": "1"}, "there is none here"),
+        (True, {"eth0": "1"}, "this machine has none"),
         (False, {"eth0": "1"}, "this kernel has no CAN yet: `modprobe can_raw`"),
     ],
 )

@@ -148,7 +148,7 @@ QUESTIONS: tuple[Question, ...] = (
     ),
     _word(
         "enable_address",
-        "Address of the register that gives the motor its power (none: there is none)",
+        "Address of the register that gives the motor its power (none: it has no such register)",
         choices=(NONE,),
     ),
     _word("enable_on", "Its value with power", needs=("enable_address",)),
